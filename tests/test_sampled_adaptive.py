@@ -4,6 +4,7 @@ import copy
 import math
 from functools import cache
 
+import independent_checker
 import numpy as np
 import pytest
 import sampled_adaptive_attack
@@ -189,6 +190,24 @@ def test_limits_are_proven_never_to_act_or_there_is_no_certificate():
         example(projection=((0.3, 0.5), (2.05, 2.15))),
     )
     assert not certificate.exists and "projection may act" in certificate.reason
+
+
+@pytest.mark.slow
+def test_the_independent_checker_agrees_and_refuses_what_is_changed():
+    assert float(independent_checker.check(document())) <= found()[0].bound
+    changes = {
+        "u - u_law": lambda proof: proof["kept"].update(law=times(proof["kept"]["law"], 0.98)),
+        "room": lambda proof: proof["kept"].update(room="0.001"),
+        "inside": lambda proof: proof["kept"]["function"]["claims"].pop(),
+        "steps add": lambda proof: proof["kept"]["estimates"].__setitem__(1, "1e-9"),
+    }
+    for what, change in changes.items():
+        body = copy.deepcopy(document())
+        change(body["proof"][0])
+        body["sha256"] = _digest(body)
+        with pytest.raises(independent_checker.Refused) as refused:
+            independent_checker.check(body)
+        assert what in str(refused.value) or "bounded by the kept" in str(refused.value)
 
 
 @pytest.mark.slow
