@@ -26,7 +26,7 @@ from independent_bootstrap import (
 )
 from independent_checker import decimal, demand, number
 
-KEPT = {"region", "law", "estimates", "function", "room", "starts", "priors"}
+INVARIANT = {"region", "law", "estimates", "function", "room", "starts", "priors"}
 STAGE = {"region", "pace", "law", "estimates", "functions"}
 
 #: Parts of a box: where the estimates' rates are those of any point, and of the same one.
@@ -38,7 +38,7 @@ ZERO, ONE = (0.0, 0.0), (1.0, 1.0)
 
 
 def is_adaptive(proof):
-    return isinstance(proof, list) and len(proof) == 1 and "kept" in proof[0]
+    return isinstance(proof, list) and len(proof) == 1 and "invariant" in proof[0]
 
 
 def added(*values):
@@ -335,16 +335,18 @@ def acting_of(loop, record):
     return [Q(0)] * (loop.n - 1) + [loop.g0 * loop.v1**2 * law, *thetas, loop.v1 * delta]
 
 
-def check_kept(loop, drive, kept):
+def check_invariant(loop, drive, invariant):
     """The claims of the kept set, as what is known."""
-    demand(isinstance(kept, dict) and set(kept) == KEPT, "the kept set has other keys")
-    loop.box, loop.row = [pair(v) for v in kept["region"]["box"]], None
-    region = Region(loop, kept["region"], acting_of(loop, kept), stands=False)
+    demand(
+        isinstance(invariant, dict) and set(invariant) == INVARIANT, "the kept set has other keys"
+    )
+    loop.box, loop.row = [pair(v) for v in invariant["region"]["box"]], None
+    region = Region(loop, invariant["region"], acting_of(loop, invariant), stands=False)
     low, high = interval(region.row, region.box)
     demand(region.ends[0] <= low and high <= region.ends[1], "the row is not that of the box")
     rates = Rates(loop, drive, region)
-    rates.check(kept)
-    claims = region.function(kept["function"])
+    rates.check(invariant)
+    claims = region.function(invariant["function"])
     box = []
     for error, (low, high) in enumerate(region.box):
         sides = {s: [b for e, side, b in claims if e == error and side == s] for s in (1, -1)}
@@ -353,7 +355,7 @@ def check_kept(loop, drive, kept):
         demand(above < high and -below > low, "the kept set is not inside its box")
         box.append((-below, above))
     demand(all(error < loop.size for error, _, _ in claims), "a claim of no error")
-    room, alpha = decimal(kept["room"]), around(decimal(kept["function"]["alpha"]))
+    room, alpha = decimal(invariant["room"]), around(decimal(invariant["function"]["alpha"]))
     D, h, T = (around(v) for v in (drive.D, drive.h, drive.T))
 
     def grown(time):
@@ -368,20 +370,20 @@ def check_kept(loop, drive, kept):
     factors = [ZERO] * (loop.n - 1) + [around(loop.g0 * loop.v1**2)]
     factors += [inner([both(v) for v in row], impulse[:-1]) for row in rates.Gamma]
     factors.append(times(times(around(loop.v1), rates.gbar), impulse[-1]))
-    G = [[decimal(v) for v in row] for row in kept["function"]["G"]]
+    G = [[decimal(v) for v in row] for row in invariant["function"]["G"]]
     rise = ZERO
     for row, factor, half in zip(G, factors, region.halves, strict=False):
         slope = around(2 * sum(map(abs, row)) / half)
         rise = plus(rise, times(slope, factor))
     demand(Q(times(rise, total)[1]) <= room, "the room is too small")
-    check_starts(loop, region, kept, G, room)
+    check_starts(loop, region, invariant, G, room)
     check_limits(drive, rates)
     loop.box = box
 
 
-def check_starts(loop, region, kept, G, room):
-    starts = [decimal(v) for v in kept["starts"]]
-    of_delta, *of_thetas = map(pair, kept["priors"])
+def check_starts(loop, region, invariant, G, room):
+    starts = [decimal(v) for v in invariant["starts"]]
+    of_delta, *of_thetas = map(pair, invariant["priors"])
     demand(len(starts) == loop.n and len(of_thetas) == loop.r, "not as many starts")
     demand(min(starts) >= 0 and room >= 0, "a start is negative")
     ends = [(-v, v) for v in starts]
@@ -425,9 +427,9 @@ def check_limits(drive, rates):
 def check_adaptive(proof, table, system, steepest):
     """The bound on limsup |e_1| that the proof shows, and the words of its claim."""
     demand(system.adaptive, "it is for the adaptive law")
-    demand(set(proof) == {"kept", "row", "stages"}, "the proof has other keys")
+    demand(set(proof) == {"invariant", "row", "stages"}, "the proof has other keys")
     loop, drive = AdaptiveLoop(system), Drive(table, system, steepest)
-    check_kept(loop, drive, proof["kept"])
+    check_invariant(loop, drive, proof["invariant"])
     row = [decimal(v) for v in proof["row"]]
     demand(len(row) == loop.size, "the row has another length")
     pace = loop.known(row)
@@ -452,9 +454,9 @@ def check_adaptive(proof, table, system, steepest):
                 sides[side].append(bound)
     demand(all(sides.values()), "e_1 is not bounded on both sides")
     bound = max(min(bounds) for bounds in sides.values())
-    kept = proof["kept"]
-    words = [f"|e_{i + 1}(0)| <= {v}" for i, v in enumerate(kept["starts"])]
-    for i, (low, high) in enumerate(kept["priors"]):
+    invariant = proof["invariant"]
+    words = [f"|e_{i + 1}(0)| <= {v}" for i, v in enumerate(invariant["starts"])]
+    for i, (low, high) in enumerate(invariant["priors"]):
         words.append(f"{f'theta_hat_{i}' if i else 'delta_hat'}(0) in [{low}, {high}]")
     texts = {
         claim["bound"]

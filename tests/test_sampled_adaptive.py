@@ -72,7 +72,7 @@ def test_what_sampling_adds_must_be_below_what_is_said():
 
     def less(stage, name):
         def change(proof):
-            part = proof["kept"] if stage is None else proof["stages"][stage]
+            part = proof["invariant"] if stage is None else proof["stages"][stage]
             if name == "law":
                 part["law"] = times(part["law"], 0.99)
             else:
@@ -95,20 +95,20 @@ def test_a_pace_must_hold_what_was_proven():
 
 def test_a_kept_set_must_be_inside_its_box_and_hold_its_starts():
     def loose(proof):
-        for claim in proof["kept"]["function"]["claims"]:
+        for claim in proof["invariant"]["function"]["claims"]:
             claim["bound"] = times(claim["bound"], 1.01)
 
     def missing(proof):
-        proof["kept"]["function"]["claims"].pop()
+        proof["invariant"]["function"]["claims"].pop()
 
     def larger(proof):
-        proof["kept"]["starts"][0] = times(proof["kept"]["starts"][0], 1.2)
+        proof["invariant"]["starts"][0] = times(proof["invariant"]["starts"][0], 1.2)
 
     def wider(proof):
-        proof["kept"]["priors"][0][0] = "0.2"
+        proof["invariant"]["priors"][0][0] = "0.2"
 
     def no_room(proof):
-        proof["kept"]["room"] = "0.001"
+        proof["invariant"]["room"] = "0.001"
 
     assert refusal(loose) == "the kept set is not inside its box"
     assert refusal(missing) == "the kept set is not inside its box"
@@ -132,10 +132,10 @@ def claim_too(change):
 
 def test_starts_outside_are_refused_whatever_is_claimed():
     def larger(proof):
-        proof["kept"]["starts"][0] = times(proof["kept"]["starts"][0], 1.2)
+        proof["invariant"]["starts"][0] = times(proof["invariant"]["starts"][0], 1.2)
 
     def wider(proof):
-        proof["kept"]["priors"][0][0] = "0.2"
+        proof["invariant"]["priors"][0][0] = "0.2"
 
     def better(proof):
         for stage in proof["stages"]:
@@ -196,10 +196,12 @@ def test_limits_are_proven_never_to_act_or_there_is_no_certificate():
 def test_the_independent_checker_agrees_and_refuses_what_is_changed():
     assert float(independent_checker.check(document())) <= found()[0].bound
     changes = {
-        "u - u_law": lambda proof: proof["kept"].update(law=times(proof["kept"]["law"], 0.98)),
-        "room": lambda proof: proof["kept"].update(room="0.001"),
-        "inside": lambda proof: proof["kept"]["function"]["claims"].pop(),
-        "steps add": lambda proof: proof["kept"]["estimates"].__setitem__(1, "1e-9"),
+        "u - u_law": lambda proof: proof["invariant"].update(
+            law=times(proof["invariant"]["law"], 0.98)
+        ),
+        "room": lambda proof: proof["invariant"].update(room="0.001"),
+        "inside": lambda proof: proof["invariant"]["function"]["claims"].pop(),
+        "steps add": lambda proof: proof["invariant"]["estimates"].__setitem__(1, "1e-9"),
     }
     for what, change in changes.items():
         body = copy.deepcopy(document())
@@ -271,24 +273,24 @@ def test_a_file_that_starts_inside_ships_with_it():
 @pytest.mark.slow
 def test_no_run_beats_any_part_of_the_proof():
     certificate, proof = found()
-    kept, last = proof.kept, proof.stages[-1]
+    invariant, last = proof.invariant, proof.stages[-1]
     loops = sampled_adaptive_attack.Loops(example(), 96)
     seen = loops.run(
         7.0,
-        [float(v) for v in kept.starts],
-        [[float(v) for v in pair] for pair in kept.priors],
+        [float(v) for v in invariant.starts],
+        [[float(v) for v in pair] for pair in invariant.priors],
         amplitude=0.2,
         top=1.0,
     )
-    box = np.abs(np.array(kept.region.box, dtype=float)).max(axis=1)
+    box = np.abs(np.array(invariant.region.box, dtype=float)).max(axis=1)
     late = np.abs(np.array(last.region.box, dtype=float)).max(axis=1)
     assert (seen.errors <= box[:2]).all()
     assert (seen.late_errors <= late[:2]).all()
     assert seen.late_errors[0] <= certificate.bound
     assert seen.late_law <= float(last.law)
     assert (seen.late_steps <= [float(v) for v in last.estimates]).all()
-    assert (seen.steps <= [float(v) for v in kept.estimates]).all()
-    assert seen.law <= float(kept.law)
+    assert (seen.steps <= [float(v) for v in invariant.estimates]).all()
+    assert seen.law <= float(invariant.law)
     # a search that finds nothing near the bound would not be one
     assert seen.late_errors[0] > 0.5 * certificate.bound
     assert math.isfinite(seen.u)

@@ -41,7 +41,7 @@ from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.ranges.strength import RangeStrength
 from certrack.certificates.ranges.tube import range_tube
 from certrack.certificates.sampled_adaptive.certify import (
-    SAMPLED,
+    SAMPLED_KIND,
     SampledAdaptiveCertificate,
     certify_sampled_adaptive,
     missing_sampled,
@@ -157,7 +157,7 @@ class Certificates(ShownInNotebooks):
             return self.implemented
         if self.sampled.verified and self.sampled.from_file:
             return self.sampled
-        entries = (getattr(self, f.name) for f in fields(self) if f.name != SAMPLED)
+        entries = (getattr(self, f.name) for f in fields(self) if f.name != SAMPLED_KIND)
         best = smallest(entry for entry in entries if isinstance(entry, Certificate))
         return self.semidefinite if best is None else best
 

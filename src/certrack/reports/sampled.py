@@ -78,12 +78,12 @@ def sampled_notes(sampled: SampledAdaptiveCertificate, digits: int) -> list[str]
     delta, *thetas = (f"[{low:g}, {high:g}]" for low, high in sampled.estimates)
     named = [f"delta_hat(0) in {delta}"]
     named += [f"theta_hat_{i + 1}(0) in {pair}" for i, pair in enumerate(thetas)]
-    own = "the file's own start is one of them"
+    whose = "the file's own start is one of them"
     if not sampled.from_file:
-        own = "the file's own start is not proven to be one of them, and nothing is said of it"
+        whose = "the file's own start is not proven to be one of them, and nothing is said of it"
     return [
         f"the adaptive law as implemented: limsup |e_1| <= {rounded_up(sampled.bound, digits)}, "
-        f"between its samples too, from {', '.join((*errors, *named))}; {own}"
+        f"between its samples too, from {', '.join((*errors, *named))}; {whose}"
     ]
 
 

@@ -48,14 +48,14 @@ def bootstrap_stages(entries: list[Any]) -> tuple[BootstrapStage, ...]:
 
 
 def _stage_of(entry: Any) -> BootstrapStage:
-    keys_of(entry, BootstrapStage)
+    require_fields(entry, BootstrapStage)
     functions = list_of(entry["functions"], _any_function, MAX_FUNCTIONS)
     return BootstrapStage(region_record(entry["region"]), functions)
 
 
 def region_record(region: Any) -> Region:
     """A region, well formed."""
-    keys_of(region, Region)
+    require_fields(region, Region)
     pairs = {"box", "regressor"}
     single = {"row", "drift", "remainder"}
     parts = {
@@ -63,7 +63,7 @@ def region_record(region: Any) -> Region:
         if name in pairs
         else pair_of_texts(region[name])
         if name in single
-        else list_of(region[name], text_of)
+        else list_of(region[name], one_text)
         for name in (entry.name for entry in fields(Region))
     }
     return Region(**parts)
@@ -75,48 +75,50 @@ def _any_function(entry: Any) -> FunctionProof | PolynomialProof:
 
 
 def _polynomial_of(entry: Any) -> PolynomialProof:
-    keys_of(entry, PolynomialProof)
+    require_fields(entry, PolynomialProof)
     if type(entry["degree"]) is not int or type(entry["reference"]) is not bool:
         raise TypeError("degree is no integer, or reference neither true nor false")
     kinds = ("squares", "inputs", "sectors", "majorants", "holds", "grams")
     return PolynomialProof(
         degree=entry["degree"],
         reference=entry["reference"],
-        alpha=text_of(entry["alpha"]),
-        W=list_of(entry["W"], text_of),
-        mu=list_of(entry["mu"], text_of),
-        **{name: list_of(entry[name], lambda texts: list_of(texts, text_of)) for name in kinds},
+        alpha=one_text(entry["alpha"]),
+        W=list_of(entry["W"], one_text),
+        mu=list_of(entry["mu"], one_text),
+        **{name: list_of(entry[name], lambda texts: list_of(texts, one_text)) for name in kinds},
         claims=list_of(entry["claims"], _claim, MAX_CLAIMS),
     )
 
 
 def function_record(entry: Any) -> FunctionProof:
     """A quadratic function, well formed."""
-    keys_of(entry, FunctionProof)
+    require_fields(entry, FunctionProof)
     return FunctionProof(
-        alpha=text_of(entry["alpha"]),
-        G=list_of(entry["G"], lambda row: list_of(row, text_of)),
-        **{name: list_of(entry[name], text_of) for name in MULTIPLIERS},
+        alpha=one_text(entry["alpha"]),
+        G=list_of(entry["G"], lambda row: list_of(row, one_text)),
+        **{name: list_of(entry[name], one_text) for name in MULTIPLIERS},
         claims=list_of(entry["claims"], _claim, MAX_CLAIMS),
     )
 
 
 def _claim(entry: Any) -> RowBound:
-    keys_of(entry, RowBound)
+    require_fields(entry, RowBound)
     for name in ("error", "side"):
         if type(entry[name]) is not int:
             raise TypeError(f"{name} is no integer")
-    return RowBound(entry["error"], entry["side"], text_of(entry["scale"]), text_of(entry["bound"]))
+    return RowBound(
+        entry["error"], entry["side"], one_text(entry["scale"]), one_text(entry["bound"])
+    )
 
 
-def keys_of(entry: Any, kind: type) -> None:
+def require_fields(entry: Any, kind: type) -> None:
     """Refuse what is no object with the fields of a kind."""
     names = [field.name for field in fields(kind)]
     if not isinstance(entry, dict) or set(entry) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
 
 
-def text_of(value: Any) -> str:
+def one_text(value: Any) -> str:
     """A decimal text."""
     from_text(value)
     return str(value)
@@ -124,7 +126,7 @@ def text_of(value: Any) -> str:
 
 def pair_of_texts(value: Any) -> tuple[str, str]:
     """Two decimal texts."""
-    low, high = list_of(value, text_of, 2)
+    low, high = list_of(value, one_text, 2)
     return low, high
 
 

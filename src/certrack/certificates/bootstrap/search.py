@@ -175,10 +175,10 @@ def functions_on(
     forms = forms_of(loop, numbers, acting)
     of_floats = None if acting is None else acting.astype(float)
     floats = forms_of(loop.in_floats(), numbers.in_floats(), of_floats)
-    own = rows_of(loop, numbers)
-    rows = [*own, *more]
+    of_region = rows_of(loop, numbers)
+    rows = [*of_region, *more]
     wanted = groups_of(loop, len(forms.sectors))[:groups]
-    wanted += [((i, side),) for i in range(len(own), len(rows)) for side in (1, -1)]
+    wanted += [((i, side),) for i in range(len(of_region), len(rows)) for side in (1, -1)]
     functions: list[FunctionProof] = []
     programs: dict[int, BootstrapProgram] = {}
     for group in wanted:
@@ -194,7 +194,7 @@ def functions_on(
             continue
         proof = prove_function(forms, solution, group, rows)
         functions += [] if proof is None else [proof]
-    return tuple(functions), after(known, functions, own)
+    return tuple(functions), after(known, functions, of_region)
 
 
 def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:

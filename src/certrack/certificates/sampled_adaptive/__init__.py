@@ -7,7 +7,8 @@ equations of the continuous loop, but for three bounded inputs more: m = u - u_l
 what the steps add to the rates of the estimates. On a box all rates of the loop are bounded, and so
 are these.
 
-`held` has the numbers of the implementation, `mismatch` these bounds, `proof` the proof and its
+`held` has the numbers of the implementation, `mismatch` the rates on a box (`ball_rows` is its
+arithmetic), `paces` these bounds, `proof` the proof and its
 exact check, `search` finds it, `certify` is the certificate, `document` and `premises` are for its
 file.
 """

@@ -14,13 +14,13 @@ from certrack.certificates.bootstrap.certify import first_proof
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import Proof, float_up, from_text
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveProof, SampledLoop
+from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveLoop, SampledAdaptiveProof
 from certrack.certificates.sampled_adaptive.search import prove_sampled_adaptive
 from certrack.certificates.start import reference_at_start, states_at_start
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
-SAMPLED = "sampled"
+SAMPLED_KIND = "sampled"
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,7 +44,7 @@ class SampledAdaptiveCertificate(Certificate):
 
 def missing_sampled(reason: str) -> SampledAdaptiveCertificate:
     """The certificate that says there is none."""
-    return SampledAdaptiveCertificate(SAMPLED, math.inf, reason=reason)
+    return SampledAdaptiveCertificate(SAMPLED_KIND, math.inf, reason=reason)
 
 
 def certify_sampled_adaptive(
@@ -86,28 +86,28 @@ def certify_sampled_adaptive(
         with within_floats():
             if effort == "fast":
                 raise NoCertificate("takes more time: --effort default")
-            sampled = SampledLoop(system)
+            sampled = SampledAdaptiveLoop(system)
             proof = prove_sampled_adaptive(sampled, first or first_proof(sampled.problem), progress)
             bound = float_up(from_text(proof.bound))
             inside = starts_inside(system, proof)
     except NoCertificate as refusal:
         return missing_sampled(str(refusal)), None
-    kept = proof.kept
+    invariant = proof.invariant
     return SampledAdaptiveCertificate(
-        SAMPLED,
+        SAMPLED_KIND,
         bound,
         verified=True,
         assumptions=tuple(assumptions(system)),
-        starts=tuple(float(v) for v in kept.starts),
-        estimates=tuple((float(low), float(high)) for low, high in kept.priors),
+        starts=tuple(float(v) for v in invariant.starts),
+        estimates=tuple((float(low), float(high)) for low, high in invariant.priors),
         from_file=inside,
     ), proof
 
 
 def starts_inside(system: System, proof: SampledAdaptiveProof) -> bool:
     """Whether the file's own start is proven to be one of those that a proof states."""
-    kept, exact = proof.kept, error_coordinates(system, rational)
-    pairs = zip(system.estimates, kept.priors, strict=True)
+    invariant, exact = proof.invariant, error_coordinates(system, rational)
+    pairs = zip(system.estimates, invariant.priors, strict=True)
     if any(not from_text(low) <= rational(z) <= from_text(high) for z, (low, high) in pairs):
         return False
     with ball_precision():
@@ -115,7 +115,7 @@ def starts_inside(system: System, proof: SampledAdaptiveProof) -> bool:
         Y, proven = reference_at_start(system, exact.q)
         if not (known and proven):
             return False
-        for row, other, most in zip(exact.A, exact.B, kept.starts, strict=True):
+        for row, other, most in zip(exact.A, exact.B, invariant.starts, strict=True):
             e = sum((flint.arb(a) * v for a, v in zip(row, x, strict=True)), flint.arb(0))
             e -= sum((flint.arb(b) * y for b, y in zip(other, Y, strict=True)), flint.arb(0))
             if not bool(abs(e) <= flint.arb(from_text(most))):
@@ -125,10 +125,10 @@ def starts_inside(system: System, proof: SampledAdaptiveProof) -> bool:
 
 def words_of_starts(proof: SampledAdaptiveProof) -> str:
     """The starts of a proof in words."""
-    kept = proof.kept
-    parts = [f"|e_{i + 1}(0)| <= {size}" for i, size in enumerate(kept.starts)]
-    names = ["delta_hat(0)", *(f"theta_hat_{i + 1}(0)" for i in range(len(kept.priors) - 1))]
-    pairs = zip(names, kept.priors, strict=True)
+    invariant = proof.invariant
+    parts = [f"|e_{i + 1}(0)| <= {size}" for i, size in enumerate(invariant.starts)]
+    names = ["delta_hat(0)", *(f"theta_hat_{i + 1}(0)" for i in range(len(invariant.priors) - 1))]
+    pairs = zip(names, invariant.priors, strict=True)
     parts += [f"{name} in [{low}, {high}]" for name, (low, high) in pairs]
     return ", ".join(parts)
 

@@ -9,15 +9,15 @@ from certrack.certificates.bootstrap.document import (
     MAX_FUNCTIONS,
     MAX_STAGES,
     function_record,
-    keys_of,
     list_of,
+    one_text,
     pair_of_texts,
     region_record,
-    text_of,
+    require_fields,
 )
 from certrack.certificates.bootstrap.proof import FunctionProof
 from certrack.certificates.sampled_adaptive.proof import (
-    KeptSet,
+    InvariantSet,
     SampledAdaptiveProof,
     SampledStage,
 )
@@ -30,7 +30,7 @@ def is_sampled_adaptive(body: Any) -> bool:
     return (
         isinstance(proof, list)
         and bool(proof)
-        and all(isinstance(entry, dict) and "kept" in entry for entry in proof)
+        and all(isinstance(entry, dict) and "invariant" in entry for entry in proof)
     )
 
 
@@ -45,33 +45,33 @@ def sampled_adaptive_record(entries: list[Any]) -> SampledAdaptiveProof:
     if len(entries) != 1:
         raise InputError("proof", "must be one, for an adaptive law as implemented")
     try:
-        keys_of(entries[0], SampledAdaptiveProof)
+        require_fields(entries[0], SampledAdaptiveProof)
         entry = entries[0]
         return SampledAdaptiveProof(
-            kept=_kept_of(entry["kept"]),
-            row=list_of(entry["row"], text_of),
-            stages=list_of(entry["stages"], _stage_of, MAX_STAGES),
+            invariant=_invariant_of(entry["invariant"]),
+            row=list_of(entry["row"], one_text),
+            stages=list_of(entry["stages"], _sampled_stage_of, MAX_STAGES),
         )
     except (TypeError, ValueError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
-def _kept_of(entry: Any) -> KeptSet:
-    keys_of(entry, KeptSet)
+def _invariant_of(entry: Any) -> InvariantSet:
+    require_fields(entry, InvariantSet)
     region, function = region_record(entry["region"]), function_record(entry["function"])
-    return KeptSet(
+    return InvariantSet(
         region=region,
-        law=text_of(entry["law"]),
-        estimates=list_of(entry["estimates"], text_of),
+        law=one_text(entry["law"]),
+        estimates=list_of(entry["estimates"], one_text),
         function=function,
-        room=text_of(entry["room"]),
-        starts=list_of(entry["starts"], text_of),
+        room=one_text(entry["room"]),
+        starts=list_of(entry["starts"], one_text),
         priors=list_of(entry["priors"], pair_of_texts),
     )
 
 
-def _stage_of(entry: Any) -> SampledStage:
-    keys_of(entry, SampledStage)
+def _sampled_stage_of(entry: Any) -> SampledStage:
+    require_fields(entry, SampledStage)
     functions: tuple[FunctionProof, ...] = list_of(
         entry["functions"], function_record, MAX_FUNCTIONS
     )
@@ -79,7 +79,7 @@ def _stage_of(entry: Any) -> SampledStage:
     return SampledStage(
         region=region,
         pace=pair_of_texts(entry["pace"]),
-        law=text_of(entry["law"]),
-        estimates=list_of(entry["estimates"], text_of),
+        law=one_text(entry["law"]),
+        estimates=list_of(entry["estimates"], one_text),
         functions=functions,
     )

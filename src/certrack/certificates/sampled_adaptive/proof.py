@@ -29,7 +29,8 @@ from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.sampled_adaptive.held import HeldLaw, held_law
-from certrack.certificates.sampled_adaptive.mismatch import Motion, Near, Paces, image
+from certrack.certificates.sampled_adaptive.mismatch import LoopRates, Near
+from certrack.certificates.sampled_adaptive.paces import Paces, image
 from certrack.systems.system import System
 
 #: Corners of the box of starts are looked at one by one.
@@ -60,7 +61,7 @@ class SampledStage:
 
 
 @dataclass(frozen=True)
-class KeptSet:
+class InvariantSet:
     """A set {W <= 0} within a box that no run leaves.
 
     Attributes
@@ -92,13 +93,13 @@ class SampledAdaptiveProof:
 
     Attributes
     ----------
-    kept : KeptSet
+    invariant : InvariantSet
     row : n + r + 1 texts
         A row of the errors that u_law' is near to.
     stages : tuple of SampledStage
     """
 
-    kept: KeptSet
+    invariant: InvariantSet
     row: tuple[str, ...]
     stages: tuple[SampledStage, ...]
 
@@ -113,7 +114,7 @@ class SampledAdaptiveProof:
         return np.array([from_text(v) for v in self.row], dtype=object)
 
 
-class SampledLoop:
+class SampledAdaptiveLoop:
     """The exact loop of a system with its implementation.
 
     Parameters
@@ -134,7 +135,7 @@ class SampledLoop:
             raise NoCertificate(f"a loop with more than {MOST_ERRORS} errors takes too long")
         formulas = formulas_of(system)
         self.ranges = Ranges(formulas, self.loop)
-        self.motion = Motion(formulas, self.loop, self.held)
+        self.motion = LoopRates(formulas, self.loop, self.held)
         self.estimates = tuple(rational(v) for v in system.estimates)
         self.priors = (self.loop.delta0, *self.loop.theta0)
 
@@ -151,7 +152,9 @@ class SampledLoop:
         return np.array([*values, self.loop.largest_scale * delta], dtype=object)
 
 
-def failed_mismatch(sampled: SampledLoop, stage: SampledStage | KeptSet, paces: Paces) -> str:
+def failed_mismatch(
+    sampled: SampledAdaptiveLoop, stage: SampledStage | InvariantSet, paces: Paces
+) -> str:
     """Empty if what a stage says that sampling adds is above what it adds, else what fails."""
     law, estimates = from_text(stage.law), [from_text(v) for v in stage.estimates]
     if len(estimates) != sampled.loop.r + 1:
@@ -163,7 +166,9 @@ def failed_mismatch(sampled: SampledLoop, stage: SampledStage | KeptSet, paces: 
     return ""
 
 
-def least_room(sampled: SampledLoop, forms: Forms, proof: FunctionProof, paces: Paces) -> Any:
+def least_room(
+    sampled: SampledAdaptiveLoop, forms: Forms, proof: FunctionProof, paces: Paces
+) -> Any:
     """A bound of what the first input, which is of no sample, adds to W; None if there is none.
 
     |m| <= law + x with x <= m_0 before D, and x(t) <= b times its integral over T + D then. So
@@ -174,11 +179,11 @@ def least_room(sampled: SampledLoop, forms: Forms, proof: FunctionProof, paces: 
     unknowns = proof.unknowns()
     alpha, D, h = (flint.arb(v) for v in (unknowns.alpha, held.first, held.reach))
     T = flint.arb(held.T)
-    rest = 1 - paces.law_through * h * (alpha * h).exp()
-    if not bool(rest > 0):
+    left = 1 - paces.law_through * h * (alpha * h).exp()
+    if not bool(left > 0):
         return None
     away = abs(paces.input - flint.arb(held.initial)).abs_upper()
-    total = away * D * (alpha * D).exp() / rest
+    total = away * D * (alpha * D).exp() / left
     zero = flint.arb(0)
     drives = [b * T * (alpha * T).exp() for b in paces.drives_through]
     rates = [zero] * (loop.n - 1) + [flint.arb(sampled.largest_gain)]
@@ -198,12 +203,12 @@ def least_room(sampled: SampledLoop, forms: Forms, proof: FunctionProof, paces: 
     return rise * total
 
 
-def in_kept_set(sampled: SampledLoop, forms: Forms, kept: KeptSet) -> bool:
+def in_invariant_set(sampled: SampledAdaptiveLoop, forms: Forms, invariant: InvariantSet) -> bool:
     """Whether W <= -room at all starts, for all g_n and theta: W is convex."""
     loop = sampled.loop
-    G, most = kept.function.unknowns().G, -from_text(kept.room)
-    errors = [from_text(v) for v in kept.starts]
-    of_delta, *of_thetas = map(_pair_of, kept.priors)
+    G, most = invariant.function.unknowns().G, -from_text(invariant.room)
+    errors = [from_text(v) for v in invariant.starts]
+    of_delta, *of_thetas = map(_pair_of, invariant.priors)
     ends = [(-v, v) for v in errors]
     ends += [
         (m - size - high, m + size - low)
@@ -237,12 +242,12 @@ def failed_limits(held: HeldLaw, paces: Paces) -> str:
         low, high = held.saturation
         inside = _is_within(paces.input, low, high) and low <= held.initial <= high
         if not inside:
-            most = float_up(max(abs(v) for v in _ends(paces.input)))
+            most = float_up(max(abs(v) for v in _ends_of_ball(paces.input)))
             return f"the saturation may act: |u| is only bounded by {most:.4g}"
     if held.projection is not None:
         for ball, (low, high) in zip(paces.estimates, held.projection, strict=True):
             if not _is_within(ball, low, high):
-                first, last = (float(v) for v in _ends(ball))
+                first, last = (float(v) for v in _ends_of_ball(ball))
                 return (
                     "the projection may act: an estimate is only bounded by "
                     f"[{float_down(rational(first)):.4g}, {float_up(rational(last)):.4g}]"
@@ -250,46 +255,48 @@ def failed_limits(held: HeldLaw, paces: Paces) -> str:
     return ""
 
 
-def _ends(ball: Any) -> tuple[Any, Any]:
+def _ends_of_ball(ball: Any) -> tuple[Any, Any]:
     return ball.lower().fmpq(), ball.upper().fmpq()
 
 
 def _is_within(ball: Any, low: Any, high: Any) -> bool:
-    first, last = _ends(ball)
+    first, last = _ends_of_ball(ball)
     return bool(low <= first and last <= high)
 
 
-def failed_kept(sampled: SampledLoop, kept: KeptSet) -> tuple[str, Reached | None]:
-    """What fails of the set that is kept, or what is known in it."""
+def failed_invariant(
+    sampled: SampledAdaptiveLoop, invariant: InvariantSet
+) -> tuple[str, Reached | None]:
+    """What fails of the set that is invariant, or what is known in it."""
     loop = sampled.loop
-    if reason := failed_shape(loop, kept.region):
+    if reason := failed_shape(loop, invariant.region):
         return reason, None
-    numbers = kept.region.numbers()
+    numbers = invariant.region.numbers()
     if not all(low < high for low, high in numbers.box):
         return "the box of the kept set is empty", None
     low, high = interval_of(numbers.linear_row(loop), numbers.box)
     if not (numbers.row[0] <= low and high <= numbers.row[1]):
         return "the row of the kept set is not that of its box", None
-    if reason := failed_ranges(loop, sampled.ranges, kept.region):
+    if reason := failed_ranges(loop, sampled.ranges, invariant.region):
         return reason, None
     paces = sampled.motion.paces(numbers)
-    if reason := failed_mismatch(sampled, kept, paces) or failed_limits(sampled.held, paces):
+    if reason := failed_mismatch(sampled, invariant, paces) or failed_limits(sampled.held, paces):
         return reason, None
-    forms, rows = sampled_forms(sampled, kept), rows_of(loop, numbers)
-    if reason := failed_part(forms, kept.function, rows[: loop.size]):
+    forms, rows = sampled_forms(sampled, invariant), rows_of(loop, numbers)
+    if reason := failed_part(forms, invariant.function, rows[: loop.size]):
         return reason, None
-    claims = kept.function.claims
+    claims = invariant.function.claims
     for error, side in product(range(loop.size), (1, -1)):
         end = numbers.box[error][1] if side > 0 else -numbers.box[error][0]
         bounds = [from_text(c.bound) for c in claims if (c.error, c.side) == (error, side)]
         if not any(bound < end for bound in bounds):
             return "the kept set is not inside its box", None
-    room = least_room(sampled, forms, kept.function, paces)
-    if room is None or not bool(room <= flint.arb(from_text(kept.room))):
+    room = least_room(sampled, forms, invariant.function, paces)
+    if room is None or not bool(room <= flint.arb(from_text(invariant.room))):
         return "the first input may push the loop out of the kept set", None
-    if reason := _failed_starts(sampled, kept, forms):
+    if reason := _failed_starts(sampled, invariant, forms):
         return reason, None
-    return "", after(Reached(numbers.box), (kept.function,), rows)
+    return "", after(Reached(numbers.box), (invariant.function,), rows)
 
 
 def _pair_of(texts: TextPair) -> tuple[Any, Any]:
@@ -310,19 +317,19 @@ def pace_after(
     return low, high
 
 
-def _failed_starts(sampled: SampledLoop, kept: KeptSet, forms: Forms) -> str:
+def _failed_starts(sampled: SampledAdaptiveLoop, invariant: InvariantSet, forms: Forms) -> str:
     loop = sampled.loop
-    if len(kept.starts) != loop.n or any(from_text(v) < 0 for v in kept.starts):
+    if len(invariant.starts) != loop.n or any(from_text(v) < 0 for v in invariant.starts):
         return "there is not one start for each error"
-    pairs = [_pair_of(texts) for texts in kept.priors]
+    pairs = [_pair_of(texts) for texts in invariant.priors]
     if len(pairs) != loop.r + 1 or any(low > high for low, high in pairs):
         return "there is not one interval for the start of each estimate"
-    if from_text(kept.room) < 0 or not in_kept_set(sampled, forms, kept):
+    if from_text(invariant.room) < 0 or not in_invariant_set(sampled, forms, invariant):
         return "a start is not in the kept set"
     return ""
 
 
-def sampled_forms(sampled: SampledLoop, stage: SampledStage | KeptSet) -> Forms:
+def sampled_forms(sampled: SampledAdaptiveLoop, stage: SampledStage | InvariantSet) -> Forms:
     """The forms of a stage, or of the kept set, with what sampling adds."""
     acting = sampled.acting(from_text(stage.law), [from_text(v) for v in stage.estimates])
     return forms_of(sampled.loop, stage.region.numbers(), acting)
@@ -332,8 +339,8 @@ def failed_sampled_adaptive(system: System, proof: SampledAdaptiveProof) -> str:
     """Empty if the proof holds for the system, exactly, else what fails."""
     try:
         with within_floats():
-            sampled = SampledLoop(system)
-            reason, known = failed_kept(sampled, proof.kept)
+            sampled = SampledAdaptiveLoop(system)
+            reason, known = failed_invariant(sampled, proof.invariant)
             if known is None:
                 return reason
             row = proof.exact_row

@@ -38,15 +38,16 @@ from certrack.certificates.bootstrap.search import (
 )
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, decimal_text, float_down, float_up, from_text
-from certrack.certificates.sampled_adaptive.mismatch import Near, Paces, image, least_law
+from certrack.certificates.sampled_adaptive.mismatch import Near
+from certrack.certificates.sampled_adaptive.paces import Paces, image, least_law
 from certrack.certificates.sampled_adaptive.proof import (
-    KeptSet,
+    InvariantSet,
+    SampledAdaptiveLoop,
     SampledAdaptiveProof,
-    SampledLoop,
     SampledStage,
-    failed_kept,
+    failed_invariant,
     failed_limits,
-    in_kept_set,
+    in_invariant_set,
     least_room,
     pace_after,
 )
@@ -54,17 +55,17 @@ from certrack.core.progress import Progress, silent
 
 #: Boxes that are tried for the kept set, as parts of the one that the continuous law reaches: from
 #: the largest on, each so much smaller than the one before; and shapes that are tried of each.
-LARGEST_BOX, SMALLER_BOX, BOXES, SHAPES = 8.0, 0.75, 12, 3
+LARGEST_PART, SMALLER_BOX, BOXES, SHAPES = 8.0, 0.75, 12, 3
 
 #: A next shape is wider than what the function reaches on the one before by this part; a shape that
 #: grows by more than the second in one direction is given up.
 WIDER_SHAPE, WILD = 0.02, 1.5
 
 #: A level is lower than the one that touches the box by this part.
-INSIDE = 1e-3
+BELOW_END = 1e-3
 
 #: Decay rates of W that are tried, as parts of that of the continuous law's first proof.
-RATES = (0.7, 1.2, 2.0)
+RATE_PARTS = (0.7, 1.2, 2.0)
 
 #: What is added to what sampling adds, relatively, so that another rounding confirms it.
 SAMPLING_ROOM = rational("1e-6")
@@ -78,17 +79,17 @@ NOTHING_KEPT = (
 )
 
 #: Bisections of the size of the starts, and their digits.
-START_STEPS, START_DIGITS = 12, 4
+START_STEPS, STARTS_DIGITS = 12, 4
 
 
 def prove_sampled_adaptive(
-    sampled: SampledLoop, first: Proof, progress: Progress = silent
+    sampled: SampledAdaptiveLoop, first: Proof, progress: Progress = silent
 ) -> SampledAdaptiveProof:
     """The kept set, and the stages on what is reached from it.
 
     Parameters
     ----------
-    sampled : SampledLoop
+    sampled : SampledAdaptiveLoop
     first : Proof
         A bound on e_n of the continuous law: where to look for the set.
     progress : callable
@@ -100,11 +101,11 @@ def prove_sampled_adaptive(
         If there is none.
     """
     loop = sampled.loop
-    kept = _kept(sampled, first)
-    reason, known = failed_kept(sampled, kept)
+    invariant = _invariant(sampled, first)
+    reason, known = failed_invariant(sampled, invariant)
     if known is None:
         raise NoCertificate(reason)
-    middle = sampled.motion.middle_row(kept.region.numbers())
+    middle = sampled.motion.middle_row(invariant.region.numbers())
     texts = tuple(f"{v:.{FREE_DIGITS}g}" for v in middle)
     row = np.array([from_text(v) for v in texts])
     pace = known.interval_of(row)
@@ -140,10 +141,10 @@ def prove_sampled_adaptive(
         if stalled and gain < WORTH_ONE_MORE:
             break
         stalled = gain < WORTH_ONE_MORE
-    return SampledAdaptiveProof(kept, texts, tuple(stages))
+    return SampledAdaptiveProof(invariant, texts, tuple(stages))
 
 
-def _stated(sampled: SampledLoop, paces: Paces) -> tuple[str, tuple[str, ...]]:
+def _stated(sampled: SampledAdaptiveLoop, paces: Paces) -> tuple[str, tuple[str, ...]]:
     """Texts above what sampling adds on a box."""
     law = _above(least_law(sampled.held, paces))
     _, estimates = image(sampled.loop, sampled.held, paces, from_text(law))
@@ -156,30 +157,30 @@ def _above(ball: Any) -> str:
     return decimal_text(float_up(value))
 
 
-def _kept(sampled: SampledLoop, first: Proof) -> KeptSet:
+def _invariant(sampled: SampledAdaptiveLoop, first: Proof) -> InvariantSet:
     """The largest set that is found."""
-    whole, why, refused = first_box(sampled.loop, first).box, "", ""
-    scale = LARGEST_BOX
+    outer, why, refused = first_box(sampled.loop, first).box, "", ""
+    scale = LARGEST_PART
     for _ in range(BOXES):
-        box = whole * rational(scale)
+        box = outer * rational(scale)
         for _ in range(SHAPES):
             try:
-                found, box, reason = _kept_on(sampled, first, box)
+                best, box, reason = _invariant_on(sampled, first, box)
             except NoCertificate as refusal:
-                found, box, reason, refused = None, None, "", str(refusal)
+                best, box, reason, refused = None, None, "", str(refusal)
             else:
                 why, refused = reason or why, NOTHING_KEPT
-            if found is not None:
-                return found
+            if best is not None:
+                return best
             if box is None:
                 break
         scale *= SMALLER_BOX
     raise NoCertificate(why or refused)
 
 
-def _kept_on(
-    sampled: SampledLoop, first: Proof, box: np.ndarray
-) -> tuple[KeptSet | None, np.ndarray | None, str]:
+def _invariant_on(
+    sampled: SampledAdaptiveLoop, first: Proof, box: np.ndarray
+) -> tuple[InvariantSet | None, np.ndarray | None, str]:
     """A set inside a box; else a box to try next, if it is promising, and why there is none."""
     loop = sampled.loop
     region = _of_box(sampled, box)
@@ -192,7 +193,7 @@ def _kept_on(
     wanted = tuple(product(range(loop.size), (1, -1)))
     asked = np.array([row_over_box(floats, side * rows[i].astype(float)) for i, side in wanted])
     program, best, most = BootstrapProgram(floats, len(wanted)), None, np.inf
-    for part in RATES:
+    for part in RATE_PARTS:
         solution = program.solve(part * float(from_text(first.alpha)), asked)
         if solution is not None:
             exceeded = _exceeded(solution, numbers.box.astype(float))
@@ -200,7 +201,7 @@ def _kept_on(
                 best, most = solution, exceeded
     if best is None:
         return None, None, ""
-    if most > 1 - INSIDE:
+    if most > 1 - BELOW_END:
         return None, _next_shape(best, numbers.box.astype(float)), ""
     if reason := failed_limits(sampled.held, paces):
         return None, None, reason
@@ -213,14 +214,14 @@ def _kept_on(
     room = least_room(sampled, forms, function, paces)
     if room is None:
         return None, None, "the period is too long for the delay"
-    kept = KeptSet(region, law, estimates, function, _above(room), (), ())
-    larger = _with_starts(sampled, forms, kept)
+    invariant = InvariantSet(region, law, estimates, function, _above(room), (), ())
+    larger = _with_starts(sampled, forms, invariant)
     if larger is None:
         return None, None, "the priors of the estimates are too far from what they are of"
     return larger, None, ""
 
 
-def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
+def _of_box(sampled: SampledAdaptiveLoop, box: np.ndarray) -> Region:
     """What a stage on a box stands on."""
     region = next_region(sampled.loop, sampled.ranges, Reached(box))
     numbers = region.numbers()
@@ -228,7 +229,7 @@ def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
     return replace(region, row=wider_texts(low, high, WIDER))
 
 
-def _ends(solution: Minimiser) -> np.ndarray:
+def _reached_ends(solution: Minimiser) -> np.ndarray:
     """What a function reaches of each error."""
     pairs = (solution.bounds * solution.sizes).reshape(-1, 2)
     return np.stack([-pairs[:, 1], pairs[:, 0]], axis=1)
@@ -237,12 +238,12 @@ def _ends(solution: Minimiser) -> np.ndarray:
 def _exceeded(solution: Minimiser, box: np.ndarray) -> float:
     """Which part of the way from the middle to the end of the box a function reaches."""
     middle, radius = box.mean(axis=1), np.diff(box, axis=1)[:, 0] / 2
-    return float((np.abs(_ends(solution) - middle[:, None]) / radius[:, None]).max())
+    return float((np.abs(_reached_ends(solution) - middle[:, None]) / radius[:, None]).max())
 
 
 def _next_shape(solution: Minimiser, box: np.ndarray) -> np.ndarray | None:
     """A box a little larger than what is reached; None if that is far beyond the one before."""
-    reached = _ends(solution)
+    reached = _reached_ends(solution)
     middle, radius = reached.mean(axis=1), np.diff(reached, axis=1)[:, 0] / 2
     if (radius > WILD * np.diff(box, axis=1)[:, 0] / 2).any():
         return None
@@ -264,7 +265,7 @@ def _widest(
     centre = -np.linalg.solve(G[:size, :size], G[:size, -1])
     spread = np.diag(np.linalg.inv(G[:size, :size]))
     level = -float(G[-1, -1] + G[-1, :size] @ centre)
-    most = float(((1 - INSIDE - np.abs(centre)) ** 2 / spread).min())
+    most = float(((1 - BELOW_END - np.abs(centre)) ** 2 / spread).min())
     G[-1, -1] -= most - level
     half = np.sqrt(most * spread)
     scales = np.array([radius[i] * half[i] / (2 * most) for i, _ in wanted])
@@ -275,34 +276,36 @@ def _widest(
     return replace(solution, unknowns=unknowns, sizes=scales, bounds=bounds / scales)
 
 
-def _with_starts(sampled: SampledLoop, forms: Forms, kept: KeptSet) -> KeptSet | None:
+def _with_starts(
+    sampled: SampledAdaptiveLoop, forms: Forms, invariant: InvariantSet
+) -> InvariantSet | None:
     """With boxes of starts that are proven to be in the set: of the errors, and of the estimates.
 
     Of its shape and as large as possible, around the estimates of the file, or else the priors.
     """
     for centre in (sampled.estimates, sampled.priors):
-        low, high, found = 0.0, 1.0, None
+        low, high, best = 0.0, 1.0, None
         for step in range(START_STEPS + 1):
             tried = 0.0 if step == 0 else (low + high) / 2
             errors, priors = _scaled_starts(sampled, forms, centre, tried)
-            larger = replace(kept, starts=errors, priors=priors)
-            if in_kept_set(sampled, forms, larger):
-                low, found = tried, larger
-            elif found is None:
+            larger = replace(invariant, starts=errors, priors=priors)
+            if in_invariant_set(sampled, forms, larger):
+                low, best = tried, larger
+            elif best is None:
                 break
             else:
                 high = tried
-        if found is not None:
-            return found
+        if best is not None:
+            return best
     return None
 
 
 def _scaled_starts(
-    sampled: SampledLoop, forms: Forms, centre: Sequence[Any], part: float
+    sampled: SampledAdaptiveLoop, forms: Forms, centre: Sequence[Any], part: float
 ) -> tuple[tuple[str, ...], tuple[TextPair, ...]]:
     sizes, n = forms.radius.astype(float), sampled.loop.n
-    errors = tuple(_down(part * size) for size in sizes[:n])
-    spreads = [from_text(_down(part * size)) for size in (sizes[-1], *sizes[n:-1])]
+    errors = tuple(_short_down(part * size) for size in sizes[:n])
+    spreads = [from_text(_short_down(part * size)) for size in (sizes[-1], *sizes[n:-1])]
     pairs = [
         (decimal_text(float_down(mid - spread)), decimal_text(float_up(mid + spread)))
         for mid, spread in zip(centre, spreads, strict=True)
@@ -310,7 +313,7 @@ def _scaled_starts(
     return errors, tuple(pairs)
 
 
-def _down(value: float) -> str:
+def _short_down(value: float) -> str:
     """A short decimal text that is not above a number >= 0."""
-    text = f"{value:.{START_DIGITS}g}"
-    return text if from_text(text) <= rational(value) else f"{value * (1 - 1e-3):.{START_DIGITS}g}"
+    text = f"{value:.{STARTS_DIGITS}g}"
+    return text if from_text(text) <= rational(value) else f"{value * (1 - 1e-3):.{STARTS_DIGITS}g}"
