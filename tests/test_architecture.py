@@ -86,6 +86,7 @@ ONE_MEANING = {
             "certify",
             "check",
             "design",
+            "energy",
             "ensemble",
             "falsify",
             "fmu",
