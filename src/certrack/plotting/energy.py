@@ -22,7 +22,6 @@ from certrack.plotting.shared import (
     set_title,
     style,
 )
-from certrack.reports.tables import short_number
 
 if TYPE_CHECKING:
     from certrack.studies.energy import Energy, EnergyBalance
@@ -117,7 +116,7 @@ def _draw_bars(ax: Axes, balance: EnergyBalance) -> None:
     for place, value in zip(places, values, strict=True):
         side = 1 if value >= 0 else -1
         ax.annotate(
-            short_number(value, 3) if value else "0",
+            f"{value:.3g}",
             (value, place),
             xytext=(3 * side, 0),
             textcoords="offset points",
