@@ -119,11 +119,11 @@ def power_formulas(system: System, motors: Motors | None = None) -> dict[str, sy
 def _source(supply: Supply, asked: sympy.Expr, back: sympy.Expr) -> dict[str, sympy.Expr]:
     """Power out of the source, into it, into the chopper, and lost between link and source."""
     exact = {name: sympy.Rational(str(value)) for name, value in _finite(supply).items()}
-    taken = sympy.S.Zero
+    accepted = sympy.S.Zero
     if supply.kind == "battery":
-        taken = sympy.Min(back, exact["power_limit"]) if "power_limit" in exact else back
-    stored = exact["efficiency"] * taken
-    drawn, returned, loss = asked, stored, taken - stored
+        accepted = sympy.Min(back, exact["power_limit"]) if "power_limit" in exact else back
+    stored = exact["efficiency"] * accepted
+    drawn, returned, loss = asked, stored, accepted - stored
     if supply.resistance:
         V, R = exact["voltage"], exact["resistance"]
 
@@ -136,7 +136,7 @@ def _source(supply: Supply, asked: sympy.Expr, back: sympy.Expr) -> dict[str, sy
     return {
         "drawn": drawn,
         "returned": returned,
-        "chopper": back - taken,
+        "chopper": back - accepted,
         "supply_loss": loss,
     }
 

@@ -175,7 +175,7 @@ class Motors:
         """The numbers of these motors for such values of the constants."""
 
         def value(formula: Expression) -> float:
-            return checks.real("truth.motors", formula, constants)
+            return float(checks.real("truth.motors", formula, constants))
 
         def pair(formulas: tuple[Expression, Expression]) -> tuple[float, float]:
             return value(formulas[0]), value(formulas[1])

@@ -33,7 +33,7 @@ SHOWN_PART = 0.01
 ROOM_FOR_NUMBERS = 1.7
 
 #: Below one of these, a thousandth of the unit is used.
-PREFIXES = ((1e-3, 1e6, "µ"), (1.0, 1e3, "m"), (1e3, 1.0, ""), (math.inf, 1e-3, "k"))
+UNIT_PREFIXES = ((1e-3, 1e6, "µ"), (1.0, 1e3, "m"), (1e3, 1.0, ""), (math.inf, 1e-3, "k"))
 
 
 def energy_figure(result: Energy, title: str) -> Figure:
@@ -132,5 +132,5 @@ def _draw_bars(ax: Axes, balance: EnergyBalance) -> None:
 
 def _prefix(largest: float) -> tuple[float, str]:
     """Factor and prefix of the unit in which the largest of some numbers is readable."""
-    below = (entry for entry in PREFIXES if largest < entry[0])
+    below = (entry for entry in UNIT_PREFIXES if largest < entry[0])
     return next((factor, prefix) for _, factor, prefix in below) if largest else (1.0, "")
