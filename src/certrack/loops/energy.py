@@ -250,5 +250,6 @@ def power_values(
     powers = power_formulas(system)
     arguments = [TIME, tuple(map(symbol, names)), INPUT, tuple(map(symbol, constants))]
     values = numpy_callable(arguments, list(powers.values()))
-    found = rows(values(t, states[: len(names)], u, list(constants.values())), len(t))
+    with np.errstate(all="ignore"):  # beyond what the source can give there is no current
+        found = rows(values(t, states[: len(names)], u, list(constants.values())), len(t))
     return dict(zip(powers, found, strict=True))
