@@ -158,8 +158,8 @@ def _check_stored(
     rng = np.random.default_rng(0)
     for point in rng.uniform(-2, 2, (CHECK_POINTS, len(states))):
         with np.errstate(all="ignore"):
-            found = np.array(values([*point, *constants.values()]), float)
-        for i, (factor, speed) in enumerate(zip(found[:2], found[2:], strict=True)):
+            results = np.array(values([*point, *constants.values()]), float)
+        for i, (factor, speed) in enumerate(zip(results[:2], results[2:], strict=True)):
             if abs(factor - speed) > CHECK_ACCURACY * (1 + abs(speed)):
                 where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(states, point, strict=True))
                 raise InputError(
@@ -251,5 +251,5 @@ def power_values(
     arguments = [TIME, tuple(map(symbol, names)), INPUT, tuple(map(symbol, constants))]
     values = numpy_callable(arguments, list(powers.values()))
     with np.errstate(all="ignore"):  # beyond what the source can give there is no current
-        found = rows(values(t, states[: len(names)], u, list(constants.values())), len(t))
-    return dict(zip(powers, found, strict=True))
+        results = rows(values(t, states[: len(names)], u, list(constants.values())), len(t))
+    return dict(zip(powers, results, strict=True))

@@ -190,14 +190,14 @@ class Motors:
 
     def _formulas(self, names: Sequence[str]) -> list[tuple[str, Expression]]:
         """Key and formula of every entry of these fields."""
-        found = []
+        results = []
         for name in names:
             value = getattr(self, name)
             if isinstance(value, tuple):
-                found += [(f"truth.motors.{name}[{i}]", entry) for i, entry in enumerate(value)]
+                results += [(f"truth.motors.{name}[{i}]", entry) for i, entry in enumerate(value)]
             elif value is not None:
-                found.append((f"truth.motors.{name}", value))
-        return found
+                results.append((f"truth.motors.{name}", value))
+        return results
 
 
 def _check_number(key: str, value: float) -> None:

@@ -213,8 +213,8 @@ class Truth:
         if self.motors is not None:
             built = {k: v for k, v in constants.items() if k in plant.constant_values}
             values = plant.with_constants(**built).constant_values
-            own = {name: value.expr for name, value in constants.items()}
-            self.motors.bound_to(states, values | own, rates)
+            stated = {name: value.expr for name, value in constants.items()}
+            self.motors.bound_to(states, values | stated, rates)
         elif not any(symbol("u") in rate.expr.free_symbols for rate in rates):
             raise InputError("truth.rates", "must contain the input u")
         what = "one per state of the plant"

@@ -141,9 +141,11 @@ class TorqueSplit:
 
     def as_dict(self) -> dict[str, Any]:
         """What JSON holds of it."""
-        found = {"copper": list(self.balance.copper), "net": self.balance.net}
-        own = {name: getattr(self, name) for name in ("share", "damping", "twist", "tail_twist")}
-        return {**own, **found}
+        energies = {"copper": list(self.balance.copper), "net": self.balance.net}
+        numbers = {
+            name: getattr(self, name) for name in ("share", "damping", "twist", "tail_twist")
+        }
+        return {**numbers, **energies}
 
 
 @dataclass(frozen=True)
