@@ -86,4 +86,4 @@ def energy(
     tell_written(as_json, *written)
     if out is not None:
         tell_written(as_json, out)
-    diagnose(result.run)
+    diagnose({file: result.run})
