@@ -240,9 +240,7 @@ def falsify(
         cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
     runs: dict[str, Run] = {}
     for origin, written in cases.items():  # each may take seconds, where it sticks
-        progress(
-            min(evaluations, budget), budget, max(map(tail_error, runs.values()), default=None)
-        )
+        progress(evaluations, budget, max(map(tail_error, runs.values()), default=None))
         runs[origin] = simulate(written)
     if linear is not None:
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
