@@ -116,7 +116,7 @@ def _draw_bars(ax: Axes, balance: EnergyBalance) -> None:
     for place, value in zip(places, values, strict=True):
         side = 1 if value >= 0 else -1
         ax.annotate(
-            f"{value:.3g}",
+            f"{value + 0.0:.3g}",  # no -0
             (value, place),
             xytext=(3 * side, 0),
             textcoords="offset points",
