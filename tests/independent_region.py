@@ -34,6 +34,7 @@ def check_region(document, system, table):
         return
     demand(named, "no premise needs the region")
     demand("transient" not in table["reference"], "a soft start has no region")
+    demand(document["region"].get("shift") == "0", "a region has no shift")
     sizes = region(document["region"], system, table)
     for premise in named:
         printed = dict(PRINTED.findall(premise["detail"].split(" while ")[1]))
@@ -63,6 +64,7 @@ def region(stage, system, table):
     if system.adaptive:
         start += P[-1][-1] * estimates_at_start(system, table)
     level = SLACK * max(bound**2, start)
+    demand(level > 0, "a level of 0 has nothing strictly inside")
     shape = product(product(system.A_inverse, inverse(P)), transposed(system.A_inverse))
     return [
         root_above(level * shape[i][i])

@@ -6,11 +6,13 @@ from fractions import Fraction
 import independent_checker
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
-from certrack.certificates import certify, to_document, verify
+from certrack.certificates import certify, certify_semidefinite, to_document, verify
+from certrack.certificates.document import save_certificate
 from certrack.certificates.layout import digest_of
 from certrack.certificates.level_set import (
     KeptRegion,
@@ -19,7 +21,9 @@ from certrack.certificates.level_set import (
     premises_from_x0,
     region_of_level,
 )
+from certrack.certificates.premise import contradicted
 from certrack.certificates.region import claim_text, is_only_in_region
+from certrack.cli import cli
 from certrack.systems.writer import to_text
 
 
@@ -111,6 +115,125 @@ def test_a_soft_start_has_no_region(system, found):
     assert not certify(soft, "fast").verified
 
 
+def test_what_is_seen_to_break_in_the_region_is_not_replaced():
+    """A hump above the bound near one state: only the polished search meets it."""
+    hump = "(0.1 + 0.2*sqrt(x1**2 + x2**2))*exp(-(x1 - 0.713)**2 - (x2 - 1.377)**2)*1.00001"
+    for far in ("", "0.00001*x2**3 + "):  # with it, random states far away break the bound first
+        system = example(far + hump)
+        refused = certify(system, "fast")
+        assert [p.name for p in refused.contradicted] == ["w_2"]
+        assert not refused.verified and refused.stages == () and refused.starts_box is None
+        stage = certify_semidefinite(system)[1]
+        assert contradicted(premises_from_x0(system, KeptRegion(stage)))
+
+
+def test_a_box_of_starts_is_proven_and_not_sampled():
+    """The bound holds, but no rule proves it: from x0 it is checked, and no box is claimed."""
+    system = example("0.004*x2**3*(1 - cos(x2))")
+    found = certify(system, "fast")
+    (held,) = (p for p in found.premises if is_only_in_region([p]))
+    assert held.status == "checked" and held.detail.endswith("the worst polished")
+    assert found.verified and found.starts_box == 0
+
+
+#: A first order plant in which w_1 breaks its bound far away, or near a singular root.
+FIRST_ORDER = """
+[plant]
+states = ["x1"]
+gain_sign = 1
+input_gain = 1.0
+
+[plant.uncertainty]
+tau = [1]
+gamma = [{gamma}]
+beta = [{beta}]
+
+[truth]
+input_gain = 1.0
+omega = ["{omega}"]
+
+[reference]
+signal = "{signal}"
+
+[law]
+kind = "robust"
+c = [2.0]
+
+[simulation]
+x0 = [0]
+duration = 10
+"""
+
+
+def test_a_level_of_zero_keeps_nothing():
+    """x' = -2 x + sqrt(|x|) leaves the origin, for 1/4."""
+    text = FIRST_ORDER.format(gamma=0.5, beta=0, omega="sqrt(abs(x1))", signal="0")
+    system = certrack.loads(text)
+    found, stage = certify_semidefinite(system)
+    assert found.bound == 0 and region_of_level(system, KeptRegion(stage)) is None
+    assert [p.name for p in certify(system, "fast").contradicted] == ["w_1"]
+    x0 = replace(system.settings, x0=(1e-12,))
+    assert certrack.simulate(system.replace(settings=x0)).metrics.tail_error > 0.2
+
+
+def test_a_reference_without_bounds_has_no_region():
+    system = certrack.loads(FIRST_ORDER.format(gamma=0, beta=1, omega="x1**3/100", signal="t"))
+    assert [p.name for p in certify(system, "fast").contradicted] == ["w_1"]
+
+
+#: A truth with states of its own, which may have other units or be more.
+OWN_STATES = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+drift = "log(x1 + 12)"
+gain_sign = 1
+input_gain = 1.0
+
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 0.1]
+
+[truth]
+states = ["a", "b"{more}]
+rates = ["b", "u"{rate}]
+outputs = [{outputs}]
+
+[reference]
+signal = "sin(t)"
+
+[law]
+kind = "robust"
+c = [2.0, 2.0]
+
+[simulation]
+x0 = [0.1, 0{start}]
+duration = 10
+"""
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"more": "", "rate": "", "start": "", "outputs": '"10*a", "b"'},
+        {"more": ', "d"', "rate": ', "-d"', "start": ", 0", "outputs": '"a", "b"'},
+    ],
+)
+def test_no_box_is_claimed_of_a_truth_with_states_of_its_own(own):
+    """x0 is of these states, the region of those of the design."""
+    found = certify(certrack.loads(OWN_STATES.format(**own)), "fast")
+    assert found.verified and found.region is not None and found.starts_box == 0
+
+
+def test_what_is_said_names_the_start(system, found, tmp_path):
+    assert repr(found).endswith("from x0)")
+    path = tmp_path / "region.json"
+    save_certificate(system, found.stages, path)
+    said = CliRunner().invoke(cli, ["verify", str(path)])
+    assert said.exit_code == 0 and " from simulation.x0, resting on" in said.output
+
+
 # Forged files -------------------------------------------------------------------------------------
 
 
@@ -137,6 +260,14 @@ def test_a_region_that_is_not_kept_is_refused(system, found, factors):
     document = to_document(system, *found.stages)
     forged = sealed(document | {"region": scaled(document["region"], **factors)})
     assert not verify(forged).verified
+    with pytest.raises(independent_checker.Refused):
+        independent_checker.check(forged)
+
+
+def test_a_region_has_no_shift(system, found):
+    document = to_document(system, *found.stages)
+    forged = sealed(document | {"region": document["region"] | {"shift": "0.5"}})
+    assert "a shift" in verify(forged).reason
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(forged)
 

@@ -18,7 +18,7 @@ from certrack.systems.keys import TABLES
 FORM_SECTIONS = {
     "Plant": ("", "plant", "plant.constants"),
     "Uncertainty": ("plant.uncertainty", "plant.ranges"),
-    "Truth": ("truth", "truth.constants"),
+    "Truth": ("truth", "truth.constants", "truth.motors", "truth.supply"),
     "Reference": ("reference",),
     "Law": ("law", "law.observer"),
     "Drive": ("implementation",),

@@ -5,7 +5,7 @@ First by majorants, which prove it; else by samples, which can only refute it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -218,15 +218,19 @@ class UncertainTerm:
         tau, gamma = self.tau, gamma * min(self.weights, default=Fraction(1))
         return self.zero or covers(self.majorants, tau * gamma, tau * beta, self.strength)
 
-    def violation(self, points: Points, *, polished: bool = True) -> Violation | None:
+    def violation(
+        self, points: Points, *, within: Callable[[Points], Points] | None = None
+    ) -> Violation | None:
         """A point where it exceeds its bound or has no value, of those given and near them.
 
         Parameters
         ----------
         points : Points
-        polished : bool
-            Whether points around the worst one may be looked at.
+        within : callable, optional
+            Moves points into the region to which the search keeps, those given among them; it must
+            hold the ray from each of its points to the origin.
         """
+        points = points if within is None else within(points)
         if self.zero:
             return None
         undefined = undefined_at(self.formula, self.states, points)
@@ -235,7 +239,7 @@ class UncertainTerm:
             limit = float(self.limit(where)[0])
             remedy = f"rewrite truth.omega[{self.k}]: {condition}"
             return self._violation(where, float("nan"), limit, remedy)
-        beyond = self.exceeded(points, polished=polished)
+        beyond = self.exceeded(points, within=within)
         if beyond is None:
             return None
         size, limit = float(self.size(beyond)[0]), float(self.limit(beyond)[0])
@@ -249,8 +253,13 @@ class UncertainTerm:
         t, x = float(where.t[0]), tuple(where.x[:, 0].tolist())
         return Violation(self.name, t, x, value, limit, remedy or "raise gamma or beta")
 
-    def exceeded(self, points: Points, *, polished: bool = True) -> Points | None:
-        """A point beyond the bound, clearly if there is one, of the smallest ||x|| found."""
+    def exceeded(
+        self, points: Points, *, within: Callable[[Points], Points] | None = None
+    ) -> Points | None:
+        """A point beyond the bound, clearly if there is one, of the smallest ||x|| found.
+
+        The points are those that :meth:`violation` has moved.
+        """
         excess = self.excess(points)
         worst = int(np.argmax(excess / (1 + points.norm)))
         where = nearest_failure(
@@ -258,8 +267,8 @@ class UncertainTerm:
         )
         if where is None or not self.confirmed(where):
             where = nearest_failure(points, self._fails)
-        if where is None and polished:
-            where = nearest_failure(self._polished(points[worst]), self._fails)
+        if where is None:
+            where = nearest_failure(self._polished(points[worst], within), self._fails)
         return where if where is not None and self.confirmed(where) else None
 
     def _fails(self, points: Points) -> np.ndarray:
@@ -309,17 +318,21 @@ class UncertainTerm:
             return bool(value.is_infinite)
         return bool(float(self.strength) * abs(value) > float(self.limit(where)[0]))
 
-    def _polished(self, point: Points) -> Points:
+    def _polished(self, point: Points, within: Callable[[Points], Points] | None = None) -> Points:
         """The point after a search around it for the largest excess."""
 
-        def objective(z: np.ndarray) -> float:
+        def at(z: np.ndarray) -> Points:
             where = Points(np.abs(z[:1]), z[1:, None])
+            return where if within is None else within(where)
+
+        def objective(z: np.ndarray) -> float:
+            where = at(z)
             return -float(self.excess(where)[0]) / (1 + float(where.norm[0]))
 
         start = np.concatenate([point.t, point.x[:, 0]])
         options = {"maxiter": POLISHING_STEPS}
         top = minimize(objective, start, method="Nelder-Mead", options=options).x
-        return Points(np.abs(top[:1]), top[1:, None])
+        return at(top)
 
     @cached_property
     def _function(self) -> NumpyFunction:

@@ -159,7 +159,8 @@ class Certificates(ShownInNotebooks):
             for entry in entries
             if isinstance(entry, Certificate) and entry.exists
         ]
-        return f"Certificates(limsup |e_1| <= {', '.join(shown) or 'no bound'})"
+        starts = "" if self.starts_box is None else " from x0"
+        return f"Certificates(limsup |e_1| <= {', '.join(shown) or 'no bound'}{starts})"
 
     @property
     def best(self) -> Certificate:

@@ -13,6 +13,7 @@ there is no first time of leaving. Every other proof of the same loop may then r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -24,11 +25,12 @@ from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text, root_up
 from certrack.certificates.formulation import error_coordinates, error_problem
-from certrack.certificates.premise import Premise, contradicted
+from certrack.certificates.premise import PROVEN, Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.region import StateBounds, in_region
 from certrack.certificates.start import starting_energy
 from certrack.certificates.tube import MAX_BOX_CORNERS, starts_of
+from certrack.core.errors import InputError
 from certrack.references.base import bound_of
 from certrack.systems.system import System
 
@@ -72,15 +74,22 @@ def region_of_level(
     -------
     n Fractions or None
         None where the stage does not hold, where the reference has a transient part (the proof
-        leaves it out), or where the reference or the states at t = 0 have no rule of ball
-        arithmetic.
+        leaves it out) or a bound of it is not known, where the reference or the states at t = 0
+        have no rule of ball arithmetic, or where the level is 0: nothing is strictly inside then.
     """
     if system.long_run is not system:
         return None
     try:
         starts, known = starts_of(system, box)
-        problem = error_problem(system, rational)
-    except NoCertificate:
+        problem, coordinates = (
+            error_problem(system, rational),
+            error_coordinates(system, rational),
+        )
+        Y = [
+            exact_float(bound_of(system.reference, j)[0], rational)
+            for j in range(coordinates.B.shape[1])
+        ]
+    except (NoCertificate, InputError):
         return None
     proof = region.stage
     ends = (0, problem.n - 1)
@@ -89,13 +98,10 @@ def region_of_level(
     P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
     energy = starting_energy(system, problem, P, starts)
     level = max(from_text(proof.bound) ** 2, 2 * energy) * (1 + LEVEL_SLACK)
-    coordinates = error_coordinates(system, rational)
+    if not level > 0:
+        return None
     inverse = solve(coordinates.A, _identity(problem.n))
     spread = np.einsum("ij,ji->i", inverse, solve(P, inverse.T))
-    Y = [
-        exact_float(bound_of(system.reference, j)[0], rational)
-        for j in range(coordinates.B.shape[1])
-    ]
     of_reference = abs(inverse @ coordinates.B) @ np.array(Y, dtype=object)
     return tuple(
         _as_fraction(from_text(root_up(level * share)) + offset)
@@ -144,18 +150,27 @@ def kept_region(system: System, stages: Sequence[Proof]) -> KeptRegion | None:
 
 
 def largest_box(system: System, region: KeptRegion) -> float:
-    """The largest r found for which the same holds from every |x_i - x0_i| <= r.
+    """The largest r found for which the same is proven from every |x_i - x0_i| <= r.
 
-    0 if none is, or if the plant has too many states for the corners of a box.
+    0 if none is, if a bound of w is only checked on samples there, if the plant has too many states
+    for the corners of a box, or if the truth has states of its own: x0 is in these.
     """
-    if 2**system.plant.n > MAX_BOX_CORNERS:
+    if 2**system.plant.n > MAX_BOX_CORNERS or system.truth.states:
         return 0.0
     everywhere = premises(system)
 
     def holds(r: float) -> bool:
-        box = [(v - r, v + r) for v in system.settings.x0]
+        box = [
+            (math.nextafter(v - r, -math.inf), math.nextafter(v + r, math.inf))
+            for v in system.settings.x0
+        ]
         bounds = region_of_level(system, region, box)
-        return not contradicted(in_region(system, everywhere, bounds, formulas=True))
+        held = in_region(system, everywhere, bounds, formulas=True)
+        return all(
+            premise.status == PROVEN
+            for premise, before in zip(held, everywhere, strict=True)
+            if before.contradicted
+        )
 
     high = 1.0
     while holds(high) and high < LARGEST_START_BOX:

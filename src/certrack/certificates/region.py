@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
@@ -54,9 +55,10 @@ def in_region(
 
     def instead(premise: Premise) -> Premise:
         held = None
-        if premise.contradicted and premise.name in terms:
+        broken = premise.contradicted and not _witness_in_region(premise, region)
+        if broken and premise.name in terms:
             held = _term_in_region(system, terms[premise.name], region)
-        if premise.contradicted and premise.name == DOMAIN and formulas:
+        if broken and premise.name == DOMAIN and formulas:
             held = _domain_in_region(system, region)
         return held or premise
 
@@ -80,14 +82,22 @@ def while_within(system: System, region: StateBounds) -> str:
     return ", ".join(f"|{x}| <= {rounded_up(float_up(rational(r)), 4)}" for x, r in pairs)
 
 
+def _witness_in_region(premise: Premise, region: StateBounds) -> bool:
+    """Whether the point that breaks a premise is where the states may be."""
+    x = (premise.witness or {}).get("x")
+    if x is None:
+        return False
+    return all(abs(Fraction(v)) <= size for v, size in zip(x, region, strict=True))
+
+
 def _term_in_region(system: System, term: UncertainTerm, region: StateBounds) -> Premise | None:
     """That a term keeps its bound in the region; None if it does not."""
     proven, how = term.proven_within(region), ""
     if not proven:
         points = random_points(system.plant.n, system.settings.duration, SEED)
-        if term.violation(_within(points, region), polished=False) is not None:
+        if term.violation(points, within=partial(_within, region=region)) is not None:
             return None
-        how = f"; no point beyond it among {RANDOM_POINTS} random ones there"
+        how = f"; no point beyond it among {RANDOM_POINTS} random ones there, the worst polished"
     detail = f"tau |{term.name}| <= {term.allowance} holds"
     return _premise_of_region(term.name, PROVEN if proven else CHECKED, detail, system, region, how)
 

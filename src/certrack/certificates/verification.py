@@ -169,14 +169,15 @@ def _verified(
     """
     if body["sha256"] != digest_of(body):
         return Verdict(False, bound, "the file was changed after it was made")
-    if any(shift != NO_SHIFT for shift in shifts):
+    region = KeptRegion(stage_record(body[REGION_KEY])) if REGION_KEY in body else None
+    of_region = () if region is None else (region.stage.shift,)
+    if any(shift != NO_SHIFT for shift in (*shifts, *of_region)):
         return Verdict(False, bound, "a shift stands in a stage that does not use it")
     if body["claim"] not in (claim_text(bound, False), claim_text(bound, True)):
         return Verdict(False, bound, "the claim is not that of the proof")
     system = loads(body["system"], "system")
     if reason := _left_open(system) or failed(system):
         return Verdict(False, bound, reason)
-    region = KeptRegion(stage_record(body[REGION_KEY])) if REGION_KEY in body else None
     rests_on = premises_from_x0(system, region)
     if region is not None and not is_only_in_region(rests_on):
         return Verdict(

@@ -184,7 +184,8 @@ def verify(certificate: Path, as_json: bool) -> None:
     Example: certrack verify cert.json
     """
     from certrack import certificates
-    from certrack.certificates.implemented.premises import LIMITS
+    from certrack.certificates.implemented.premises import LIMITS, REGION
+    from certrack.certificates.region import is_only_in_region
     from certrack.cli import console
 
     proof = certificates.verify(certificate)
@@ -193,8 +194,8 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(console.to_json(asdict(proof)))
     elif proof.verified:
-        limited = any(premise.name == LIMITS for premise in proof.premises)
-        whose = " from simulation.x0" if limited else ""
+        limited = any(premise.name in (LIMITS, REGION) for premise in proof.premises)
+        whose = " from simulation.x0" if limited or is_only_in_region(proof.premises) else ""
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         console.print_lines(premise_lines(proof.premises))
     if not proof.verified:
