@@ -18,6 +18,7 @@ from certrack.laws import LAWS
 from certrack.laws.observer import Observer
 from certrack.laws.online import Online
 from certrack.model.implementation import Implementation
+from certrack.model.motors import Motors, Supply
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
@@ -135,12 +136,15 @@ def test_the_table_of_keys_is_json_and_tells_what_a_form_needs():
 def test_no_field_of_a_table_is_without_its_key():
     without = {  # parts of a system, which are tables of their own
         Plant: {"uncertainty"},
+        Truth: {"motors", "supply"},
         System: {"plant", "law", "reference", "truth", "settings", "population", "implementation"},
     }
     for owner in (
         Plant,
         Uncertainty,
         Truth,
+        Motors,
+        Supply,
         Settings,
         Implementation,
         Population,

@@ -50,9 +50,14 @@ class FileChanged(InputError):
         Of what is there now.
     """
 
-    def __init__(self, name: str, reason: str, digest: str) -> None:
-        super().__init__(name, reason)
-        self.digest = digest
+    digest: str = ""
+
+
+def file_changed(name: str, reason: str, digest: str) -> FileChanged:
+    """The error with the digest of what is there now."""
+    changed = FileChanged(name, reason)
+    changed.digest = digest
+    return changed
 
 
 class Workspace:
@@ -135,7 +140,7 @@ class Workspace:
                 reason = (
                     "has changed on the disk since it was opened" if known else "exists already"
                 )
-                raise FileChanged(shown, reason, there)
+                raise file_changed(shown, reason, there)
             write_text(path, text)
         return shown, _digest(data)
 

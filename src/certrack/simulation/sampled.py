@@ -143,14 +143,14 @@ class SampledSimulator:
         progress(0.0, settings.duration, None)
         shared = np.array([schedule.piece_values(t) for t in (0.0, *breaks)])
         planned = planned_limits(system.law, implementation) is not None
-        maps = PlannedMaps(self.maps, self.loop, system, line) if planned else self.maps
+        maps = PlannedMaps(self.maps, self.loop, system, line) if planned else None
         record = self._record_in_c(problem, shared, progress)
-        if isinstance(maps, PlannedMaps) and record is not None:
+        if maps is not None and record is not None:
             exact = implementation.reads_states and problem.outputs is None
             record = record if exact and maps.keep_limits(record) else None
         outcome, modes = Outcome.finished, None
         if record is None:
-            record, outcome, modes = self._record_by_maps(maps, problem, progress)
+            record, outcome, modes = self._record_by_maps(maps or self.maps, problem, progress)
         progress(settings.duration, settings.duration, None)
         slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
         solution = SampledSolution(record.with_a_step(), slopes, len(problem.x))
