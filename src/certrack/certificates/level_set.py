@@ -81,10 +81,8 @@ def region_of_level(
         return None
     try:
         starts, known = starts_of(system, box)
-        problem, coordinates = (
-            error_problem(system, rational),
-            error_coordinates(system, rational),
-        )
+        problem = error_problem(system, rational)
+        coordinates = error_coordinates(system, rational)
         Y = [
             exact_float(bound_of(system.reference, j)[0], rational)
             for j in range(coordinates.B.shape[1])
@@ -172,6 +170,8 @@ def largest_box(system: System, region: KeptRegion) -> float:
             if before.contradicted
         )
 
+    if not holds(0.0):
+        return 0.0
     high = 1.0
     while holds(high) and high < LARGEST_START_BOX:
         high *= 2
