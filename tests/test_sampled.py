@@ -500,7 +500,6 @@ def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edg
     """Two equal motors without play swing undamped against each other; the rest is the model."""
     shafts = ["th_1 - th_L", "th_2 - th_L"]
     plain = certrack.load("dual-motor-physical")
-    plain = plain.replace(truth=replace(plain.truth, motors=None, supply=None))
     rates = [
         "om_L",
         f"K_L/J_L*({' + '.join(shafts)})",
@@ -510,11 +509,12 @@ def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edg
         f"K_M/J_M*(1 - split)*effectiveness_2*u - K_L/J_M*({shafts[1]})",
     ]
     constants = {"split": 0.5, "effectiveness_2": 1}
+    simple = replace(plain.truth, rates=rates, constants=constants, motors=None, supply=None)
     implementation, found = certrack.Implementation(period=0.01, velocity=("x2", "x4")), []
     for truth in (
         certrack.load("dual-motor-lean").truth,
-        replace(plain.truth, rates=rates, constants=constants),
-        replace(plain.truth, rates=rates, constants=constants | {"split": 0.6}),
+        replace(simple, constants=constants),
+        replace(simple, constants=constants | {"split": 0.6}),
     ):
         x0 = plain.settings.x0 if truth.states else certrack.load("dual-motor-lean").settings.x0
         system = plain.replace(
