@@ -1,17 +1,21 @@
 """What a servo engineer reads on the way from a blank file to a tuned design of two masses."""
 
+import math
 import re
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
 
 import certrack
+from certrack.certificates.certificate import Certificate
 from certrack.cli import cli, console
 from certrack.core.rounding import rounded_range
 from certrack.reports.certificates import certificates_notes
 from certrack.reports.tables import short_number
 from certrack.tuning import tune as tune_room
-from certrack.tuning.measure import MEASURING_STEPS
+from certrack.tuning.fallback import MOST_CHECKS, best_certified
+from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED
 
 
 def run(*arguments):
@@ -141,3 +145,46 @@ def test_the_search_of_a_worst_case_certifies_first_and_says_so():
 def test_no_zero_is_negative():
     assert rounded_range(-0.0, 1.0) == "[0, 1]"
     assert short_number(-0.0) == "0" and short_number(1e-311) == "0"
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 40])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_best_certified_design_on_the_way(count, share):
+    """Halving finds the last that is certified, where those before it are."""
+    certified_ones = round(share * count)
+    found, asked = best_certified(list(range(count)), lambda k: k < certified_ones)
+    assert found == (certified_ones - 1 if certified_ones else None)
+    assert asked <= MOST_CHECKS
+
+
+def test_a_best_design_without_a_certificate_is_not_the_result(monkeypatch):
+    """Gains that are too sharp for a proof: the best of the others is returned, with a note."""
+    system, asked, sharpest = certrack.load("dual-motor-lean"), [], math.inf
+
+    def rates(of):
+        return sum(map(math.log, of.law.c))
+
+    def figures(of, box, seed, effort, progress):
+        progress(MEASURING_STEPS, MEASURING_STEPS, None)
+        return replace(UNMEASURED, certified=math.inf if rates(of) > sharpest else rates(of))
+
+    def proof(of, **_):
+        asked.append(rates(of))
+        return Certificate("cells", 1.0, verified=rates(of) <= sharpest)
+
+    monkeypatch.setattr(tune_room, "figures_of", figures)
+    monkeypatch.setattr(tune_room, "certified", proof)
+    best, first = rates(certrack.tune(system, starts=1).system), rates(system)
+    assert best > first and not asked
+    sharpest = first + 0.5 * (best - first)
+    news = []
+    found = certrack.tune(system, starts=1, proving=lambda *args: news.append(args[0]))
+    assert first <= rates(found.system) <= sharpest
+    assert rates(found.system) == max(each for each in asked if each <= sharpest)
+    assert found.after.certified == rates(found.system) and news == sorted(news)
+    (note,) = (note for note in found.notes if "on the way" in note)
+    assert f"of {len(asked)} asked" in note
+    sharpest = -math.inf
+    found = certrack.tune(system, starts=1)
+    assert rates(found.system) == best and math.isinf(found.after.certified)
+    assert any("nothing is certified of the best design" in note for note in found.notes)

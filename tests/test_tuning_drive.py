@@ -177,7 +177,7 @@ def test_the_largest_of_several():
 
 
 def test_what_was_found_is_kept_where_its_measurement_is_interrupted(monkeypatch):
-    def interrupted(*_):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "figures_of", interrupted)

@@ -17,9 +17,11 @@ from certrack.core.errors import Cancelled
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.certified import certified
 from certrack.tuning.companion import with_law_of
 from certrack.tuning.conflict import conflict
 from certrack.tuning.exceeded import broken_limits
+from certrack.tuning.fallback import best_certified
 from certrack.tuning.front import limits_named, sweep
 from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED, Measured, figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements
@@ -157,29 +159,39 @@ def tune(
         elif not search.state.stopped:
             notes.append("the loop as implemented has no certificate; tuned is the continuous")
     task, hurried = used.problem.task, search.state.hurried
-    active = tuple(
-        ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
-        for price in ([] if hurried else prices(task, best))
-    )
     programs = first.problem.error.programs
     curve: Front | None = None
     if front is not None and not hurried:
         curve = sweep(used.problem, used.family, best, front, progress)
-    finished = with_law_of(system, last.written(best.v))
     starts_box = first.problem.box
     notes += last.left_alone()
 
-    def figures(of: System, number: int) -> Measured:
-        begun, total = number * MEASURING_STEPS, 2 * MEASURING_STEPS
+    def finished_of(candidate: Candidate) -> System:
+        return with_law_of(system, last.written(candidate.v))
+
+    def figures(of: System, begun: int, steps: int = MEASURING_STEPS) -> Measured:
+        total = 2 * MEASURING_STEPS
         return _figures(
             partial(figures_of, of, starts_box, seed, effort),
-            lambda done, _, bound: proving(begun + done, total, bound),
+            lambda done, _, bound: proving(begun + min(done, steps), total, bound),
             search,
         )
 
-    after, before = figures(finished, 0), figures(system, 1)
+    after = figures(finished_of(best), 0)
+    if math.isinf(after.certified) and used is first and not search.state.stopped:
+        said = partial(proving, MEASURING_STEPS, 2 * MEASURING_STEPS, None)
+        other, note = _fallback(search, finished_of, effort, said)
+        notes.append(note)
+        if other is not None:
+            best, after = other, figures(finished_of(other), MEASURING_STEPS, 0)
+    before = figures(system, MEASURING_STEPS)
+    hurried = search.state.hurried
+    active = tuple(
+        ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
+        for price in ([] if hurried else prices(task, best))
+    )
     return Tuned(
-        system=finished,
+        system=finished_of(best),
         objective=objective,
         before=before,
         after=after,
@@ -204,6 +216,34 @@ def _figures(measured: Callable[..., Measured], progress: Progress, search: Gain
     except (KeyboardInterrupt, Cancelled) as signal:
         search.state.ended_by(signal)
         return UNMEASURED
+
+
+def _fallback(
+    search: GainSearch,
+    finished: Callable[[Candidate], System],
+    effort: str,
+    said: Callable[[], None],
+) -> tuple[Candidate | None, str]:
+    """The best design of the search with a certificate, where the best of all has none; a note."""
+
+    def is_certified(candidate: Candidate) -> bool:
+        said()
+        return certified(finished(candidate), effort=effort, progress=lambda *_: said()).verified
+
+    try:
+        found, asked = best_certified(search.state.kept[:-1], is_certified)
+    except (KeyboardInterrupt, Cancelled) as signal:
+        search.state.ended_by(signal)
+        return None, "nothing is certified; the search of a design that is was interrupted"
+    if found is None:
+        return None, (
+            f"nothing is certified of the best design, nor of {asked} others that the search went "
+            "through; narrow plant.ranges, or give a smaller --noise"
+        )
+    return found, (
+        "the best design of the search has no certificate; this is the best on the way to it "
+        f"that has one, of {asked} asked; a smaller --noise may find a better one"
+    )
 
 
 def _refined(
