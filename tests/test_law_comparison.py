@@ -74,7 +74,7 @@ def test_without_osqp_a_comparison_with_mpc_says_so_at_once(motor, monkeypatch):
     monkeypatch.setattr(comparison_module, "search_gains", untouched)
     with pytest.raises(certrack.MissingExtra, match=r"certrack\[mpc\]"):
         compare_laws(motor, ["lqr", "mpc"], budget=10, members=2)
-    entrant, family = entrant_of(motor, "mpc")
+    entrant, _ = entrant_of(motor, "mpc")
     limited = replace(entrant, law=replace(entrant.law, input_limit=0.1))
     with pytest.raises(certrack.MissingExtra):
         Trials(limited, None).metrics(limited.law)
