@@ -324,19 +324,22 @@ class Loop:
         demand(isinstance(stage, dict) and set(stage) == {"region", "functions"}, "other keys")
         demand(isinstance(stage["functions"], list), "functions are no list")
         region = Region(self, stage["region"])
+        functions = stage["functions"]
+        self.take(region, [claim for f in functions for claim in region.function(f)])
+
+    def take(self, region, claims):
+        """What is known behind a stage: of the errors, and of the row of ubar."""
         size = self.size
         box, row = list(self.box), None
-        for function in stage["functions"]:
-            for claim in region.function(function):
-                error, side, bound = claim
-                ends = box[error] if error < size else row or self.known(region.row)
-                ends = (
-                    (ends[0], min(ends[1], bound)) if side > 0 else (max(ends[0], -bound), ends[1])
-                )
-                if error < size:
-                    box[error] = ends
-                else:
-                    row = ends
+        for error, side, bound in claims:
+            if error > size:
+                continue
+            ends = box[error] if error < size else row or self.known(region.row)
+            ends = (ends[0], min(ends[1], bound)) if side > 0 else (max(ends[0], -bound), ends[1])
+            if error < size:
+                box[error] = ends
+            else:
+                row = ends
         if row is not None:
             self.row, self.interval = region.row, row
         self.box = box
@@ -345,8 +348,10 @@ class Loop:
 class Region:
     """A stage's box, its ranges, and the forms on it."""
 
-    def __init__(self, loop, record):
+    def __init__(self, loop, record, acting=(), more=None, stands=True):
         system, n, r = loop.system, loop.n, loop.r
+        self.acting = [(i, v) for i, v in enumerate(acting) if v]
+        self.more = more
         demand(isinstance(record, dict) and set(record) == REGION, "a region has other keys")
         self.loop, self.box = loop, [pair(v) for v in record["box"]]
         self.phi_middle, self.slope = ([decimal(v) for v in record[k]] for k in ("middle", "slope"))
@@ -359,13 +364,15 @@ class Region:
         rest = [v - k for v, k in zip(system.nu_x, self.slope, strict=True)]
         self.through_e = product([rest], system.A_inverse)[0]
         self.row = [*self.through_e, *self.phi_middle, Q(0)]
-        for new, old in [*zip(self.box, loop.box, strict=True), (self.ends, loop.known(self.row))]:
+        pairs = [*zip(self.box, loop.box, strict=True), (self.ends, loop.known(self.row))]
+        for new, old in pairs if stands else ():
             demand(new[0] < old[0] and new[1] > old[1], "a box does not hold what is known")
         through_y = product([rest], system.through)[0]
         self._ranges(record["regressor"])
         sizes = [abs(a + b) for a, b in zip(through_y, system.nu_Y, strict=True)]
         spread = dot(sizes, system.Y)
         low, high = self.ends[0] - spread - self.rest[1], self.ends[1] + spread - self.rest[0]
+        self.ubar = low, high
         self.pi = min(low, low * loop.v1), max(high, high * loop.v1)
         self._forms()
 
@@ -405,14 +412,14 @@ class Region:
         varying = [i for i, (low, high) in enumerate(self.regressor) if low != high]
         self.varying = varying
         parts = [size, 1, len(system.a), len(system.b), system.q + 2, 1, len(ranged)]
-        parts += [2 if loop.v1 > 1 else 0, 3 * len(varying)]
+        parts += [2 if loop.v1 > 1 else 0, 3 * len(varying), len(self.acting)]
         self.width = width = sum(parts)
         unit = [[Q(i == j) for j in range(width)] for i in range(width)]
         groups, at = [], 0
         for count in parts:
             groups.append(unit[at : at + count])
             at += count
-        zeta, (one,), a, b, y, (eta,), t, kappa, psi = groups
+        zeta, (one,), a, b, y, (eta,), t, kappa, psi, others = groups
         self.middles = [(low + high) / 2 for low, high in self.box]
         self.halves = [(high - low) / 2 for low, high in self.box]
         z = [
@@ -497,6 +504,8 @@ class Region:
             pulled = add(add(d, inverse_v, -loop.sign / Q(loop.g0)), v, system.delta0)
             pulled = add(scaled(loop.sign * pi, e[-1]), pulled, -system.gbar1)
             last.append(scaled(system.gbar, pulled))
+            for (i, limit), u in zip(self.acting, others, strict=True):
+                last[i] = add(last[i], u, limit)
             F = [scaled(1 / h, u) for h, u in zip(self.halves, last, strict=True)]
             self.corners.append((F, add(linear, inverse_v, -pi)))
         self.first = [*zeta, one]
@@ -574,10 +583,13 @@ class Region:
         demand(isinstance(claim, dict) and set(claim) == CLAIM, "a claim has other keys")
         error, side = claim["error"], claim["side"]
         demand(type(error) is int and type(side) is int, "no integers")
-        demand(side in (1, -1) and 0 <= error < len(self.sectors), "a claim of nothing")
+        of_more = self.more is not None and error == size + 1
+        known = of_more or 0 <= error < len(self.sectors)
+        demand(side in (1, -1) and known, "a claim of nothing")
         scale, bound = decimal(claim["scale"]), decimal(claim["bound"])
         demand(scale > 0, "a scale is not positive")
         row = [Q(i == error) for i in range(size)] if error < size else self.row
+        row = self.more if of_more else row
         line = [side * v * h for v, h in zip(row, self.halves, strict=True)]
         line.append(side * dot(row, self.middles))
         form = [[scale * v for v in u] for u in G]

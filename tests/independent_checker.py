@@ -759,6 +759,10 @@ def check(document, stated_bounds=None):
 
     if basis == "premises" and is_bootstrap(proof):
         return check_bootstrap(document, stated_bounds)
+    from independent_adaptive import is_adaptive
+
+    if basis == "premises" and is_adaptive(proof):
+        return check_sampled_adaptive(document, stated_bounds)
     demand(isinstance(proof, list) and 1 <= len(proof) <= 3, "the proof has no one to three stages")
     for i, stage in enumerate(proof):
         numbers_of(stage)
@@ -801,6 +805,26 @@ def check_bootstrap(document, stated_bounds):
     start = of_start(document)
     texts = {f"limsup |e_1(t)| <= {text}{start}" for text in claims if decimal(text) == bound}
     demand(document["claim"] in texts, "the claim is not that of the proof")
+    return bound
+
+
+def check_sampled_adaptive(document, stated_bounds):
+    """The adaptive law as implemented; its arithmetic is in a file of its own.
+
+    Stated bounds of the reference are those of y_d ... y_d^(q+2).
+    """
+    from independent_adaptive import check_adaptive
+
+    table = tomllib.loads(document["system"])
+    demand("soft_start" not in table["reference"], "a soft start")
+    demand("kind" not in table["reference"] or stated_bounds, "y_d^(q+1) may jump")
+    system = System(document["system"], stated_bounds and stated_bounds[:-1])
+    known = reference_bounds(table["reference"], system.q + 2, system.constants)
+    known = stated_bounds or known
+    demand(known is not None and len(known) == system.q + 3, "y_d^(q+2) has no bound")
+    check_premises(document["premises"], system, table, adaptive=True)
+    bound, claims = check_adaptive(document["proof"][0], table, system, known[-1])
+    demand(document["claim"] in claims, "the claim is not the proof's")
     return bound
 
 
@@ -869,7 +893,9 @@ def check_premises_of(document, system):
     check_region(document, system, table)
 
 
-def check_premises(premises, system, table, sampled=False, slow=False, regional=False):
+def check_premises(
+    premises, system, table, sampled=False, slow=False, regional=False, adaptive=False
+):
     """Step 11: names, their order, and that none is contradicted."""
     demand(isinstance(premises, list), "the premises are no list")
     names = []
@@ -898,6 +924,9 @@ def check_premises(premises, system, table, sampled=False, slow=False, regional=
         expected += [f"rate of w_{k + 1}" for k in (known_rates(uncertain) if slow else ())]
         expected += ["region of states"] if bounds else []
         expected += ["input limits"] if {"saturation", "rate_limit"} & set(drive) else []
+    elif adaptive:
+        expected += ["starts", "sampled loop", "input limits and projection"]
+        expected += ["sampled reference", "timing and arithmetic"]
     elif "implementation" in table:
         expected += ["continuous law, exact states"]
     demand(names == expected, "the premises are not those of the system")

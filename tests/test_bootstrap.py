@@ -24,8 +24,8 @@ from certrack.certificates.bootstrap.proof import proven_definite
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
 from certrack.certificates.bootstrap.rates import Rate
 from certrack.certificates.bootstrap.regions import box_of_states, rows_of
-from certrack.certificates.document import _digest
 from certrack.certificates.exact import from_text
+from certrack.certificates.layout import digest_of
 
 #: A plant with a full Gamma, ranges of g_n < 0 and theta, feed-forward and a full regressor.
 RANGED = """
@@ -218,7 +218,7 @@ def claimed_again(document):
     """With the claim and the digest of its own proof."""
     text = claimed_bound(bootstrap_stages(document["proof"][1:]))
     document["claim"] = f"limsup |e_1(t)| <= {text}"
-    document["sha256"] = _digest(document)
+    document["sha256"] = digest_of(document)
     return document
 
 
@@ -344,7 +344,7 @@ def test_another_system_with_the_same_proof_is_refused(document, old, new):
     mutant["system"] = (
         text.replace(old, new) if old in text else text.replace(old.replace(".0", ""), new)
     )
-    mutant["sha256"] = _digest(mutant)
+    mutant["sha256"] = digest_of(mutant)
     assert not verify(mutant).verified
 
 
@@ -456,7 +456,7 @@ def test_forged_numbers_are_refused_in_one_line(document, name):
     mutant = copy.deepcopy(document)
     keys, change = FORGED[name]
     of_stage(*keys, change=change)(mutant["proof"])
-    mutant["sha256"] = _digest(mutant)
+    mutant["sha256"] = digest_of(mutant)
     try:
         assert not verify(mutant).verified
     except certrack.InputError as problem:

@@ -8,7 +8,7 @@ import time
 import pytest
 
 import certrack
-from certrack.certificates import document
+from certrack.certificates import verification
 from certrack.core import budget
 from certrack.core.budget import resident_megabytes, within_budget
 from certrack.core.errors import InputError
@@ -147,10 +147,10 @@ def test_loading_has_a_budget(monkeypatch):
 
 
 def test_verifying_has_a_budget(monkeypatch, tmp_path):
-    monkeypatch.setattr(document, "VERIFY_SECONDS", 0.1)
-    monkeypatch.setattr(document, "read_document", lambda path: spin())
+    monkeypatch.setattr(verification, "VERIFY_SECONDS", 0.1)
+    monkeypatch.setattr(verification, "read_document", lambda path: spin())
     with pytest.raises(InputError, match=r"cert.json: is given up: it needs more than 0.1 s"):
-        document.verify(tmp_path / "cert.json")
+        verification.verify(tmp_path / "cert.json")
 
 
 def test_a_profiler_works_after_loading():

@@ -25,12 +25,12 @@ from certrack.certificates.balls import ball_precision, enclosing_ball
 from certrack.certificates.centred import RemainderBound
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import _Suprema, smallest_cover
-from certrack.certificates.document import FORMAT_1
 from certrack.certificates.domain import Condition, conditions
 from certrack.certificates.exact import Proof, failed_condition, from_text, prove, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem, uncertain_inputs
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
+from certrack.certificates.layout import FORMAT_1
 from certrack.certificates.majorants import (
     MAX_KEPT,
     _below,

@@ -25,12 +25,13 @@ from certrack.certificates import (
 )
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.cascade import certify_cascade, check_cascade
-from certrack.certificates.document import _digest, verify
 from certrack.certificates.exact import Proof, failed_condition, float_up, from_text, prove, root_up
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.layout import digest_of
 from certrack.certificates.methods import NOMINAL_KINDS
 from certrack.certificates.published import certify_published, collect, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.certificates.verification import verify
 from certrack.core.errors import InputError
 from certrack.laws import Robust
 from certrack.model.plant import Plant
@@ -459,7 +460,7 @@ def test_saved_certificate_is_verified_and_tampering_refused(tmp_path):
         change(tampered)
         assert not verify(tampered).verified, name
         if name != "made_by":
-            tampered["sha256"] = _digest(tampered)  # the forger knows the digest too
+            tampered["sha256"] = digest_of(tampered)  # the forger knows the digest too
             assert not verify(tampered).verified, name
 
 

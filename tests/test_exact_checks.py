@@ -7,7 +7,7 @@ import flint
 import numpy as np
 import pytest
 
-from certrack.certificates import document
+from certrack.certificates import verification
 from certrack.certificates.arithmetic import positive_definite, rational, solve
 from certrack.certificates.exact import (
     MAX_EXPONENT,
@@ -125,10 +125,10 @@ def test_rates_of_the_published_bound_are_the_smallest_of_all():
 
 def test_a_cover_has_a_largest_number_of_cells(monkeypatch):
     body = dict.fromkeys(DOCUMENT_KEYS[FORMAT], "") | {"format": FORMAT}
-    monkeypatch.setattr(document, "cell_record", lambda entries: 1 / 0)
+    monkeypatch.setattr(verification, "cell_record", lambda entries: 1 / 0)
     for count, error in ((MAX_PROOF_CELLS, ZeroDivisionError), (MAX_PROOF_CELLS + 1, InputError)):
         with pytest.raises(error):
-            document._verify_cover(body | {"proof": [{}] * count})
+            verification._verify_cover(body | {"proof": [{}] * count})
 
 
 @pytest.mark.parametrize(

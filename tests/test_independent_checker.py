@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.document import save_certificate, to_document, verify
+from certrack.certificates.document import save_certificate, to_document
 from certrack.certificates.exact import from_text
+from certrack.certificates.verification import verify
 from certrack.core.errors import InputError
 from certrack.references import triangle
 from certrack.systems.reader import loads

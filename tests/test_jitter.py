@@ -12,7 +12,6 @@ from test_implemented import NOISE, on_a_drive, random_drive
 import certrack
 from certrack.certificates import to_document, verify
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import certify_implemented, failed_cover
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.fixed_point import OutputBounds
@@ -21,6 +20,7 @@ from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.timing import TimedBounds, pulse_gains, rate_rows
+from certrack.certificates.layout import digest_of
 from certrack.core.errors import InputError
 from certrack.integrators.sampled.events import event_timeline
 from certrack.model.implementation import Implementation
@@ -162,7 +162,7 @@ def test_the_file_is_verified_here_and_by_the_page(shaken):
     assert float(independent_checker.check(document)) == pytest.approx(found.bound)
     more = json.loads(json.dumps(document))
     more["system"] = more["system"].replace("jitter = 0.05", "jitter = 0.06")
-    more["sha256"] = _digest(more)
+    more["sha256"] = digest_of(more)
     assert not verify(more).verified
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(more)

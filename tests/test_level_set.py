@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.certificates import certify, to_document, verify
-from certrack.certificates.document import _digest
+from certrack.certificates.layout import digest_of
 from certrack.certificates.level_set import (
     KeptRegion,
     kept_region,
@@ -115,7 +115,7 @@ def test_a_soft_start_has_no_region(system, found):
 
 
 def sealed(document):
-    return document | {"sha256": _digest(document)}
+    return document | {"sha256": digest_of(document)}
 
 
 def scaled(region, **factors):

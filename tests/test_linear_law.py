@@ -16,11 +16,12 @@ from scipy.linalg import expm, solve_continuous_are
 import certrack
 from certrack import Linear, Robust
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.document import to_document, verify
+from certrack.certificates.document import to_document
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.methods import certify_peak, certify_semidefinite
 from certrack.certificates.ranges.certify import certify_ranges
+from certrack.certificates.verification import verify
 from certrack.core.errors import DesignError, InputError
 from certrack.laws.cost import freed_loop, optimal_cost
 from certrack.laws.integral import longer_chain, of_the_chain

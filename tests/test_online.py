@@ -15,8 +15,8 @@ from certrack.certificates import certify_semidefinite, to_document, tube, verif
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.document import _digest
 from certrack.certificates.formulation import adaptation_of, error_problem
+from certrack.certificates.layout import digest_of
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.online.certify import OnlineProof, certify_online, failed_online
 from certrack.certificates.online.ends import end_problems
@@ -457,7 +457,7 @@ def test_forged_files_are_refused(name):
     _, (proof,) = certify_online(system)
     document = to_document(system, proof)
     still = document | {"proof": document["proof"][0]["ends"][:1]}
-    still |= {"sha256": _digest(still)}
+    still |= {"sha256": digest_of(still)}
     assert not verify(still).verified  # as if the gains stood still
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(still)
@@ -465,7 +465,7 @@ def test_forged_files_are_refused(name):
     ends = [stage | {"bound": smaller} for stage in document["proof"][0]["ends"]]
     forged = document | {"proof": [{"bound": smaller, "ends": ends}]}
     forged |= {"claim": f"limsup |e_1(t)| <= {smaller}"}
-    forged |= {"sha256": _digest(forged)}
+    forged |= {"sha256": digest_of(forged)}
     assert "bound" in verify(forged).reason
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(forged)
@@ -487,7 +487,7 @@ def test_files_that_leave_numbers_or_a_wrong_level_are_refused():
     level = document["system"].replace("[simulation]", "[simulation]\nestimates = [3.0]")
     for text in (*changed, level):
         forged = document | {"system": text}
-        forged |= {"sha256": _digest(forged)}
+        forged |= {"sha256": digest_of(forged)}
         if text is level:
             with pytest.raises(InputError, match="estimates"):
                 verify(forged)

@@ -14,9 +14,9 @@ import certrack
 from certrack.certificates import certify_peak, to_document, verify
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.document import _digest
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.layout import digest_of
 from certrack.certificates.methods import FAST_PEAK_ORDER, NOMINAL_KINDS, every_certificate
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.cli import main
@@ -135,7 +135,7 @@ def test_every_method_is_listed_once():
 
 
 def signed(body):
-    return body | {"sha256": _digest(body)}
+    return body | {"sha256": digest_of(body)}
 
 
 MUTANTS = {

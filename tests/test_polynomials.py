@@ -31,8 +31,8 @@ from certrack.certificates.bootstrap.rates import Rate
 from certrack.certificates.bootstrap.regions import after, first_box, next_region, rows_of
 from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.bootstrap.variables import with_reference
-from certrack.certificates.document import _digest
 from certrack.certificates.exact import from_text
+from certrack.certificates.layout import digest_of
 
 
 class OneStage:
@@ -85,7 +85,7 @@ def test_a_quartic_makes_the_bound_of_example1_smaller():
     assert verdict.verified
     assert verdict.bound == text
     document["claim"] = document["claim"].replace(text, text[:-1])
-    document["sha256"] = _digest(document)
+    document["sha256"] = digest_of(document)
     assert not verify(document).verified
 
 
@@ -284,7 +284,7 @@ def test_ranges_that_are_too_narrow_are_refused(key):
         region[key][0] = narrower(region[key][0])
     else:
         region[key] = narrower(region[key])
-    document["sha256"] = _digest(document)
+    document["sha256"] = digest_of(document)
     verdict = verify(document)
     assert not verdict.verified
     assert "stage" in verdict.reason
@@ -303,7 +303,7 @@ def test_forged_entries_are_refused_in_one_line():
     }.items():
         forged = copy.deepcopy(document)
         forged["proof"][-1]["functions"][0][key] = value
-        forged["sha256"] = _digest(forged)
+        forged["sha256"] = digest_of(forged)
         with pytest.raises(certrack.InputError, match="proof"):
             verify(forged)
 

@@ -17,8 +17,8 @@ from certrack.certificates import premises, to_document, verify
 from certrack.certificates.assumption_1 import uncertain_terms
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.cover import smallest_cover
-from certrack.certificates.document import FORMAT_1, _digest
 from certrack.certificates.domain import always_defined, conditions, undefined_at
+from certrack.certificates.layout import FORMAT_1, digest_of
 from certrack.certificates.majorants import ROOT_FACTORS, majorants
 from certrack.certificates.sampling import Points, random_points
 from certrack.cli import main
@@ -314,10 +314,10 @@ def test_format_1_is_verified_unless_its_truth_breaks_a_premise():
     assert body["format"].endswith("/2")
     old = {key: value for key, value in body.items() if key not in ("premises", "sha256")}
     old |= {"format": FORMAT_1, "assumptions": assumptions(LEAN)}
-    assert verify(old | {"sha256": _digest(old)}).verified
+    assert verify(old | {"sha256": digest_of(old)}).verified
     wrong = LEAN.replace(truth=replace(LEAN.truth, input_gain=3.0))
     old["system"] = certrack.to_text(wrong)
-    verdict = verify(old | {"sha256": _digest(old)})
+    verdict = verify(old | {"sha256": digest_of(old)})
     assert not verdict.verified
     assert "input gain" in verdict.reason and verdict.premises[0].witness["true"] == 3.0
 
@@ -338,7 +338,7 @@ def test_format_1_is_verified_unless_its_truth_breaks_a_premise():
 def test_premises_of_a_certificate_cannot_be_changed(change):
     body = to_document(LEAN, *certrack.certify(LEAN).stages)
     change(body["premises"])
-    assert not verify(body | {"sha256": _digest(body)}).verified
+    assert not verify(body | {"sha256": digest_of(body)}).verified
 
 
 @pytest.mark.parametrize(
@@ -370,7 +370,7 @@ def test_a_shift_that_no_stage_uses_is_refused(shift):
     for i in (0, 2):
         body = to_document(EXAMPLE, *found.stages)
         body["proof"][i]["shift"] = shift
-        verdict = verify(body | {"sha256": _digest(body)})
+        verdict = verify(body | {"sha256": digest_of(body)})
         assert not verdict.verified and "shift" in verdict.reason
 
 

@@ -14,12 +14,12 @@ from test_implemented import UNIT_W, bare_drive
 import certrack
 from certrack.certificates import certify, to_document, verify
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import failed_cover
 from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.start import FromStarts, Starts
+from certrack.certificates.layout import digest_of
 from certrack.certificates.methods import NOMINAL_KINDS
 from certrack.certificates.size_majorants import Sizes, stays_below
 from certrack.core.errors import InputError
@@ -198,7 +198,7 @@ def test_the_file_is_verified_here_and_by_the_page(drag, found):
     region = body["proof"][0]["starts"][1]["region"]
     for pair in region:
         pair[:] = ["-9.0", "9.0"]  # wider: the states of some start escape from it
-    body["sha256"] = _digest(body)
+    body["sha256"] = digest_of(body)
     assert not verify(body).verified
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(body)
@@ -288,7 +288,7 @@ def test_a_violation_far_away_is_not_fatal():
     assert document["claim"].endswith(" from simulation.x0") and verify(document).verified
     independent_checker.check(document)
     everywhere = document | {"claim": document["claim"].removesuffix(" from simulation.x0")}
-    assert not verify(everywhere | {"sha256": _digest(everywhere)}).verified
+    assert not verify(everywhere | {"sha256": digest_of(everywhere)}).verified
 
 
 def test_a_violation_where_the_states_are_is_fatal():

@@ -18,7 +18,6 @@ import certrack
 import certrack.certificates.implemented.drive as drive_module
 from certrack import InputError
 from certrack.certificates import to_document, verify
-from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.document import implemented_proofs, record_of
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
@@ -31,6 +30,7 @@ from certrack.certificates.implemented.proof import (
     periods_needed,
 )
 from certrack.certificates.implemented.slow import SlowTerms, as_function
+from certrack.certificates.layout import digest_of
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.model.slowness import slow_size
@@ -339,7 +339,7 @@ def rewritten(document, proof=None, text=None):
     system, proofs = certrack.loads(body["system"]), implemented_proofs(body["proof"])
     body["claim"] = f"limsup |e_1(t)| <= {proofs[0].bound}"
     body["premises"] = [p.record() for p in premises_as_implemented(system, proofs)]
-    return body | {"sha256": _digest(body)}
+    return body | {"sha256": digest_of(body)}
 
 
 def refused_by_the_page(document):
@@ -389,7 +389,7 @@ def test_a_file_that_says_less_of_w_is_refused(text, premise):
     if premise == "contradicted":
         text = (text[0] + WORSE["an unknown rate"][0].removeprefix("rate = [0.0, 3.0]"), text[1])
     signed = document | {"system": document["system"].replace(*text)}
-    verdict = verify(signed | {"sha256": _digest(signed)})
+    verdict = verify(signed | {"sha256": digest_of(signed)})
     assert not verdict.verified
     assert "premise" in verdict.reason
     assert verify(rewritten(document, text=text)).verified == (premise == "proven")

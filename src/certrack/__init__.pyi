@@ -43,6 +43,8 @@ from .laws.backstepping import ErrorCoordinates as ErrorCoordinates
 from .laws.backstepping import Gains as Gains
 from .model.distribution import Distribution as Distribution
 from .model.implementation import Implementation as Implementation
+from .model.motors import Motors as Motors
+from .model.motors import Supply as Supply
 from .model.plant import Plant as Plant
 from .model.population import Population as Population
 from .model.truth import Truth as Truth
@@ -64,6 +66,10 @@ from .simulation.simulator import Simulator as Simulator
 from .simulation.simulator import simulate as simulate
 from .studies.check import Check as Check
 from .studies.check import check as check
+from .studies.energy import Energy as Energy
+from .studies.energy import EnergyBalance as EnergyBalance
+from .studies.energy import TorqueSplit as TorqueSplit
+from .studies.energy import energy as energy
 from .studies.ensembles.comparison import PairedComparison as PairedComparison
 from .studies.ensembles.comparison import paired as paired
 from .studies.ensembles.ensemble import Ensemble as Ensemble

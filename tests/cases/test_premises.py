@@ -12,6 +12,8 @@ import pytest
 import certrack
 from certrack.certificates import to_document, verify
 from certrack.certificates.assumption_1 import uncertain_terms
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.sampling import Points
 from certrack.cli import main
 from certrack.core.errors import InputError
@@ -37,7 +39,7 @@ CONTRADICTED = {
     "robust-wrong-gain": ("input gain", {"true": 3.0, "assumed": 20.0}),
     "domain-log": ("domain", None),
     "viol": ("w_2", None),
-    "cubic": ("w_2", None),
+    "cubic-fast": ("w_2", None),
     "undefined_at_zero": ("w_2", None),
 }
 
@@ -73,10 +75,22 @@ def test_a_certificate_with_a_broken_premise_is_refused(name):
         to_document(system, certrack.certify(system).proof)
 
 
+def test_what_breaks_a_premise_only_faster_than_the_axis_runs_is_certified_from_x0(capfd, tmp_path):
+    """3 v^3 passes 0.2 v + 0.1 at 0.3897; the level set from x0 keeps |v| below 0.336."""
+    out = tmp_path / "cert.json"
+    code, text, _ = invoke(capfd, "certify", str(path("cubic.toml")), "--json", "--out", str(out))
+    found = json.loads(text)
+    assert code == 0 and found["verified"] and found["starts_box"] > 0.001
+    names = [entry["name"] for entry in found["premises"]]
+    assert "w_2 in the region" in names and "w_2" not in names
+    code, text, _ = invoke(capfd, "verify", str(out))
+    assert code == 0 and "from simulation.x0" in json.loads(out.read_text())["claim"]
+
+
 @pytest.mark.parametrize("name", ["viol", "cubic"])
 def test_a_witness_is_a_point_one_can_work_with(name):
     system = certrack.load(path(f"{name}.toml"))
-    (broken,) = certrack.certify(system).contradicted
+    (broken,) = contradicted(premises(system))
     x, t = broken.witness["x"], broken.witness["t"]
     omega = {"viol": abs(0.5 * math.sin(9 * t)), "cubic": abs(3 * x[1] ** 3)}[name]
     allowed = 0.2 * math.hypot(*x) + 0.1
@@ -106,7 +120,7 @@ def test_the_remedy_works(name, tmp_path):
     found = certrack.certify(certrack.load(file))
     assert not found.contradicted
     assert found.verified
-    (broken,) = certrack.certify(certrack.load(path(f"{name}.toml"))).contradicted
+    (broken,) = contradicted(premises(certrack.load(path(f"{name}.toml"))))
     advice = {"theta": "[5]", "robust-wrong-gain": "3", "viol": "beta[1] to 0.5", "cubic": "tanh"}
     assert advice[name] in broken.remedy
 
@@ -223,7 +237,7 @@ def test_an_input_gain_that_depends_on_a_state_names_the_class_and_the_change_of
 def test_the_witness_of_cubic_is_the_nearest_of_a_fine_grid():
     system = certrack.load(path("cubic.toml"))
     term = uncertain_terms(system)[1]
-    (broken,) = certrack.certify(system).contradicted
+    (broken,) = contradicted(premises(system))
     import numpy as np
 
     v = np.linspace(-0.4, 0.4, 8001)

@@ -14,9 +14,10 @@ import pytest
 import certrack
 from certrack.certificates import certify_semidefinite, verify
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.document import _digest, to_document
+from certrack.certificates.document import to_document
 from certrack.certificates.exact import failed_condition, prove, squared_bound
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.layout import digest_of
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.cli import main
 from certrack.core.errors import InputError
@@ -125,7 +126,7 @@ def test_a_certificate_file_with_an_indefinite_gamma_is_refused():
     document = to_document(good, proof)
     assert verify(document).verified
     document["system"] = document["system"].replace("[0.3, 0.9]]", "[0.3, 0.09]]")
-    document["sha256"] = _digest(document)
+    document["sha256"] = digest_of(document)
     with pytest.raises(InputError, match="positive definite"):
         verify(document)
 

@@ -20,7 +20,9 @@ import independent_checker
 
 import certrack
 from certrack.certificates.bootstrap.document import is_bootstrap
-from certrack.certificates.document import _digest, to_document, verify
+from certrack.certificates.document import to_document
+from certrack.certificates.layout import digest_of
+from certrack.certificates.verification import verify
 from certrack.core.errors import CertrackError
 from fuzz.mutation import entry, mutated_bytes, paths
 from fuzz.runner import Finding
@@ -83,7 +85,7 @@ class Certificates:
         for _ in range(rng.choice([1, 1, 1, 2, 3])):
             self._mutate(rng, document)
         if rng.random() < 0.85 and "sha256" in document:
-            document["sha256"] = _digest(document)
+            document["sha256"] = digest_of(document)
         return json.dumps(document).encode()
 
     def _mutate(self, rng: random.Random, document: dict[str, Any]) -> None:

@@ -47,7 +47,7 @@ A bound is a claim that others build on, so the author of a new method must:
 
 from certrack.certificates.certificate import Certificate, NoCertificate
 from certrack.certificates.certify import Certificates, certify
-from certrack.certificates.document import Verdict, save_certificate, to_document, verify
+from certrack.certificates.document import save_certificate, to_document
 from certrack.certificates.estimates.estimate import BoundEstimate, TubeEstimate, estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.input_bounds import InputBounds, certify_input
@@ -55,6 +55,7 @@ from certrack.certificates.methods import best_sound_bound, certify_peak, certif
 from certrack.certificates.premise import Premise
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.tube import Tube, tube
+from certrack.certificates.verification import Verdict, verify
 
 __all__ = [
     "BoundEstimate",

@@ -42,6 +42,14 @@ from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.ranges.strength import RangeStrength
 from certrack.certificates.ranges.tube import range_tube
 from certrack.certificates.region import is_only_in_region
+from certrack.certificates.sampled_adaptive.certify import (
+    SAMPLED_KIND,
+    SampledAdaptiveCertificate,
+    certify_sampled_adaptive,
+    missing_sampled,
+)
+from certrack.certificates.sampled_adaptive.premises import premises_of_sampled_adaptive
+from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveProof
 from certrack.certificates.scope import has_ranges
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
@@ -86,6 +94,11 @@ class Certificates(ShownInNotebooks):
         ``[implementation]``.
     implemented_proof
         The exactly verified numbers behind it, one for each delay.
+    sampled : SampledAdaptiveCertificate
+        The same for the adaptive law, from the starts that it states. Only where the file's own
+        start is one of them may it be :attr:`best`.
+    sampled_proof : SampledAdaptiveProof or None
+        The exactly verified numbers behind it.
     constants : tuple of ConstantCost
         What the range of each constant costs: the bound with that range closed. Empty with the
         effort ``fast``.
@@ -132,6 +145,8 @@ class Certificates(ShownInNotebooks):
     attainable: float | None = None
     implemented: ImplementedCertificate = missing_implemented(NO_IMPLEMENTATION)
     implemented_proof: tuple[ImplementedProof, ...] = ()
+    sampled: SampledAdaptiveCertificate = missing_sampled(NO_IMPLEMENTATION)
+    sampled_proof: SampledAdaptiveProof | None = None
     constants: tuple[ConstantCost, ...] = ()
     critical_ranges: RangeStrength | None = None
     region: KeptRegion | None = None
@@ -151,7 +166,9 @@ class Certificates(ShownInNotebooks):
         """The certificate to ship with: the implemented loop's, else the tightest verified one."""
         if self.implemented.verified:
             return self.implemented
-        entries = (getattr(self, entry.name) for entry in fields(self))
+        if self.sampled.verified and self.sampled.from_file:
+            return self.sampled
+        entries = (getattr(self, f.name) for f in fields(self) if f.name != SAMPLED_KIND)
         best = smallest(entry for entry in entries if isinstance(entry, Certificate))
         return self.semidefinite if best is None else best
 
@@ -172,8 +189,12 @@ class Certificates(ShownInNotebooks):
         Before it the region that the states keep, if a premise holds there only. Empty where there
         is no proof, and where a premise is contradicted.
         """
-        if self.contradicted or self.implemented_proof or not self.tightest:
-            return () if self.contradicted else self.implemented_proof
+        if self.contradicted:
+            return ()
+        if self.best is self.sampled and self.sampled_proof is not None:
+            return (self.sampled_proof,)
+        if self.implemented_proof or not self.tightest:
+            return self.implemented_proof
         return self.tightest if self.region is None else (self.region, *self.tightest)
 
     @property
@@ -259,6 +280,7 @@ def certify(
         progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
     )
     later = system.long_run
+    adaptive, adaptive_proof = _sampled(system, methods, effort, progress)
     as_run = system if is_of_starts(system) else later
     rests_on = everywhere = premises(as_run if implemented.verified else later)
     region = None
@@ -269,6 +291,11 @@ def certify(
     else:
         region = kept_region(system, _in_all_errors(methods))  # counts a soft start
         rests_on = everywhere = premises_from_x0(later, region)
+    if region is not None and adaptive_proof is not None:
+        reason = "a premise holds in a region only, which this proof does not know"
+        adaptive, adaptive_proof = missing_sampled(reason), None
+    if adaptive_proof is not None and adaptive.from_file:
+        rests_on = premises_of_sampled_adaptive(system, adaptive_proof)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
@@ -284,6 +311,8 @@ def certify(
         attainable=methods.attainable,
         implemented=implemented,
         implemented_proof=implemented_proof,
+        sampled=adaptive,
+        sampled_proof=adaptive_proof,
         constants=methods.ranges.constants,
         critical_ranges=methods.ranges.strength,
         region=region,
@@ -312,6 +341,21 @@ def _implemented(
     early, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
     later, later_proofs = certify_implemented(system.long_run, **how)
     return replace(later, start=early.start, peaks=early.peaks), later_proofs
+
+
+def _sampled(
+    system: System, methods: Methods, effort: str, progress: Progress
+) -> tuple[SampledAdaptiveCertificate, SampledAdaptiveProof | None]:
+    """That of the adaptive law as implemented; the bootstrap's first proof is its own, too."""
+    if system.implementation is None:
+        return missing_sampled(NO_IMPLEMENTATION), None
+    first = next(iter(methods.proofs.get("bootstrap", ())), None)
+    return certify_sampled_adaptive(
+        system,
+        effort,
+        first if isinstance(first, Proof) else None,
+        lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
+    )
 
 
 def _tube(

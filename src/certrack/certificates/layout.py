@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -72,3 +73,23 @@ def check_layout(body: dict[str, Any]) -> None:
         raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")
+
+
+def check_new_layout(body: dict[str, Any], what: str) -> None:
+    """Refuse a body as :func:`check_layout` does, and the older format, which has no such proof."""
+    check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for {what}", body["format"])
+
+
+def check_layout_as_run(body: dict[str, Any]) -> None:
+    """The same for a proof of the loop as the drive runs it, which has no region."""
+    check_new_layout(body, "an implemented loop")
+    if REGION_KEY in body:
+        raise InputError(REGION_KEY, "is of a continuous law only")
+
+
+def digest_of(body: dict[str, Any]) -> str:
+    """The digest that a body has as its ``sha256``."""
+    content = {key: value for key, value in body.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -21,6 +21,7 @@ from certrack.cli.cache import cache
 from certrack.cli.checks import check
 from certrack.cli.designer import app
 from certrack.cli.dossiers import report
+from certrack.cli.energy import energy
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
@@ -66,6 +67,7 @@ for verb in (
     ensemble,
     margin,
     optimal,
+    energy,
     tune,
     check,
     certify,

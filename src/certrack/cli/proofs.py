@@ -134,7 +134,8 @@ def certify(
 
 def _note_without_implemented(system: System, result: Certificates) -> None:
     """Say that no bound is of the loop as the drive runs it, and why, where there is a drive."""
-    if system.implementation is not None and result.best.exists and not result.implemented.verified:
+    as_run = result.implemented.verified or result.sampled.verified
+    if system.implementation is not None and result.best.exists and not as_run:
         click.echo(
             "certrack: note: what is verified here is of the continuous law, nothing is of the "
             f"loop as [implementation] runs it: {result.implemented.reason}",

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from certrack.certificates.document import verify
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.document import implemented_proofs, is_implemented
 from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.from_starts import peaks_of
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.verification import verify
 from certrack.core.errors import InputError
 from certrack.systems.system import System
 from certrack.systems.writer import to_text

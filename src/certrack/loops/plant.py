@@ -109,8 +109,9 @@ def _truth_with_states(system: System) -> SimulatedPlant:
     truth, names = system.truth, list(true_constants(system))
     constants = tuple(symbol(f"true_constants_{i}") for i in range(len(names)))
     as_built = dict(zip(map(symbol, names), constants, strict=True))
+    torques = truth.motors.torque_formulas(INPUT) if truth.motors else {}
     rates, outputs = (
-        tuple(formula.expr.xreplace(as_built) for formula in formulas or ())
+        tuple(formula.expr.xreplace(torques).xreplace(as_built) for formula in formulas or ())
         for formulas in (truth.rates, truth.outputs)
     )
     states = tuple(map(symbol, truth.states or ()))

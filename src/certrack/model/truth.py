@@ -13,6 +13,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.coefficients import check_gain, check_within, refuse_varying_gain
+from certrack.model.motors import Motors, Supply
 from certrack.model.names import new_name
 from certrack.model.plant import MAX_ORDER, Plant
 
@@ -46,6 +47,10 @@ class Truth:
         One per state.
     outputs : n formulas in these states and the constants
         What the controller measures: x_1 ... x_n of the design.
+    motors : Motors, optional
+        Two motors that share the input, where the rates contain their torques instead of u.
+    supply : Supply, optional
+        What feeds the motors, and takes what they give back.
 
     Raises
     ------
@@ -102,18 +107,23 @@ class Truth:
         shape="one per state of the plant",
         otherwise="required with states",
     )
+    motors: Motors | None = None
+    supply: Supply | None = None
 
     def __post_init__(self) -> None:
         if self.states is None:
             self._check_plant_form()
         else:
             self._check_own_states()
+        if self.supply is not None and self.motors is None:
+            remedy = "Describe the motors in a table [truth.motors]"
+            raise InputError("truth.supply", "needs truth.motors", remedy=remedy)
         pairs = checks.name_value_pairs("truth.constants", self.constants)
         constants = {name: number(f"truth.constants.{name}", value) for name, value in pairs}
         set_fields(self, constants=tuple(constants.items()))
 
     def _check_plant_form(self) -> None:
-        for name in ("rates", "outputs"):
+        for name in ("rates", "outputs", "motors"):
             if getattr(self, name) is not None:
                 raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
         if self.input_gain is None:
@@ -196,10 +206,16 @@ class Truth:
                 used = [*plant.states, *states, *list(constants)[:i]]
                 new_name(f"truth.constants.{name}", name, used)
         names = [*states, *dict.fromkeys([*plant.constant_values, *constants])]
+        inputs = ["u"] if self.motors is None else ["u", *self.motors.torques]
         rates = _named_formulas(
-            "truth.rates", self.rates or (), len(states), "one per state", ["t", "u", *names]
+            "truth.rates", self.rates or (), len(states), "one per state", ["t", *inputs, *names]
         )
-        if not any(symbol("u") in rate.expr.free_symbols for rate in rates):
+        if self.motors is not None:
+            built = {k: v for k, v in constants.items() if k in plant.constant_values}
+            values = plant.with_constants(**built).constant_values
+            stated = {name: value.expr for name, value in constants.items()}
+            self.motors.bound_to(states, values | stated, rates)
+        elif not any(symbol("u") in rate.expr.free_symbols for rate in rates):
             raise InputError("truth.rates", "must contain the input u")
         what = "one per state of the plant"
         outputs = _named_formulas("truth.outputs", self.outputs or (), plant.n, what, names)

@@ -1,4 +1,4 @@
-"""Pictures of runs, certificates, ensembles, margins, fronts and optima.
+"""Pictures of runs, certificates, ensembles, margins, fronts, optima and energy.
 
 Figures are made without pyplot, so nothing global is touched and no window opens. The functions
 ``plot_...`` draw on any axes, of pyplot's figures too: ``plot_error(ax, {"adaptive": run})``. Their
@@ -8,6 +8,7 @@ legend names the runs, and a curve never gets the style of another one on the sa
 from certrack.plotting.appearance import Appearance
 from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.curves import Runs
+from certrack.plotting.energy import energy_figure
 from certrack.plotting.ensembles import (
     ensemble_figures,
     fan_chart,
@@ -42,6 +43,7 @@ __all__ = [
     "Runs",
     "certificates_figure",
     "drift_figure",
+    "energy_figure",
     "ensemble_figures",
     "fan_chart",
     "figure",

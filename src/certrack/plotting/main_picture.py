@@ -12,12 +12,14 @@ from matplotlib.figure import Figure
 from certrack.certificates import Certificates
 from certrack.core.errors import InputError
 from certrack.plotting.certificates import certificates_figure
+from certrack.plotting.energy import energy_figure
 from certrack.plotting.ensembles import fan_chart
 from certrack.plotting.margins import margin_figure
 from certrack.plotting.optima import optima_figure
 from certrack.plotting.overviews import overview
 from certrack.plotting.shared import PAGE_WIDTH, in_brackets, new_figure, style
 from certrack.simulation.run import Run
+from certrack.studies.energy import Energy
 from certrack.studies.ensembles.ensemble import Ensemble
 from certrack.studies.margins import Margins
 from certrack.studies.optimal.optimal import Optima
@@ -32,11 +34,11 @@ def plot(result: Any) -> Figure:
 
     Parameters
     ----------
-    result : Run, mapping of names to runs, System, Certificates, Ensemble, Margins or Optima
+    result : Run, mapping of names to runs, System, Certificates, Ensemble, Margins, Optima, Energy
         A run, or several to compare: output, error, states, estimates and input. A system: its
         reference. Certificates: the bounds side by side, and the tube. An ensemble: its quantile
         bands. Margins: the error against period, delay and saturation. Optima: output and input
-        beside those of the law.
+        beside those of the law. Energy: powers and balance.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def plot(result: Any) -> Figure:
 def _drawn(result: Any) -> Figure:
     raise InputError(
         "plot",
-        "draws a run, runs by name, a system, certificates, an ensemble, margins or optima",
+        "draws a run, runs by name, a system, certificates, an ensemble, margins, optima or energy",
         type(result).__name__,
     )
 
@@ -91,6 +93,11 @@ def _draw_margins(result: Margins) -> Figure:
 @_drawn.register
 def _draw_optima(result: Optima) -> Figure:
     return optima_figure(result, result.run.system.title)
+
+
+@_drawn.register
+def _draw_energy(result: Energy) -> Figure:
+    return energy_figure(result, result.system.title)
 
 
 @_drawn.register

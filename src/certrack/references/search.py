@@ -105,10 +105,10 @@ class Formula:
         has_extremes = expr.has(sympy.Max, sympy.Min)  # written by abs, once
         self.expr = without_minmax(expr) if has_extremes else expr
         self.begin = begin
-        self.end = min(end, begin + self._period)
+        self.end = min(end, begin + self.period)
 
     @cached_property
-    def _period(self) -> float:
+    def period(self) -> float:
         """After it the formula repeats, rounded up, s; infinite if it does not."""
         if len(self._tables) != 1:
             return math.inf

@@ -10,7 +10,13 @@ from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import MOVING_KINDS, RANGE_KINDS
 from certrack.certificates.tube import TUBE_ROUNDING, Tube
 from certrack.core.rounding import printed_bound, rounded_down
-from certrack.reports.sampled import implemented_notes, implemented_summary
+from certrack.reports.sampled import (
+    from_its_starts,
+    implemented_notes,
+    implemented_summary,
+    sampled_notes,
+    sampled_summary,
+)
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 
 #: What stands for a critical strength without limit.
@@ -35,6 +41,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*MOVING_KINDS, *RANGE_KINDS)},
         "implemented": entries(results.implemented) | implemented_summary(results.implemented),
+        "sampled": entries(results.sampled) | sampled_summary(results.sampled),
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -71,7 +78,8 @@ def _best(results: Certificates) -> dict[str, Any] | None:
     if not results.verified:
         return None
     best = results.best
-    loop = "implemented" if best is results.implemented else "continuous"
+    as_run = best is results.implemented or best is results.sampled
+    loop = "implemented" if as_run else "continuous"
     return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
 
 
@@ -92,10 +100,12 @@ def certificates_table(results: Certificates) -> Table:
         "online": "for every motion of the gains between their ends",
         "implemented": "peak gains of the loop as the drive runs it"
         + (": the one to ship with" if results.implemented.verified else ""),
+        "sampled": f"the adaptive law as the drive runs it, {from_its_starts(results.sampled)}",
     }
     rows, last = [], ""
     sampled = results.implemented.reason != NO_IMPLEMENTATION
-    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
+    drives = ("sampled",) if results.sampled.exists else ("implemented",)
+    for kind in (*results.kinds, *drives) if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = entry.reason if entry.reason and not entry.verified else notes[kind]
@@ -121,10 +131,10 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"{_strength_text(results.critical_semidefinite)}"
         ]
     lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
+    lines = [*sampled_notes(results.sampled, BOUND_TEXT_DIGITS), *lines]
     if results.starts_box is not None:
-        lines.insert(
-            0, f"a premise holds in a region only, so the bounds hold{certified_starts(results)}"
-        )
+        where = f"a premise holds in a region only, so the bounds hold{certified_starts(results)}"
+        lines.insert(0, where)
     if results.tube is not None:
         lines.append(_of_tube(results, results.tube))
     return lines

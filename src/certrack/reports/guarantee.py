@@ -55,6 +55,8 @@ def _guaranteed(evidence: DesignEvidence) -> str:
     loop = ""
     if best is results.implemented:
         loop = f", of the loop as the drive runs it{for_starts(results.implemented)}"
+    elif best is results.sampled:
+        loop = ", of the loop as the drive runs it, from the file's start"
     elif evidence.system.implementation is not None:
         loop = ", of the continuous law; nothing is verified of the loop as the drive runs it"
     if best is not results.implemented:

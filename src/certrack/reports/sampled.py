@@ -13,6 +13,7 @@ from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
 )
 from certrack.certificates.implemented.step_search import RATES_PART
+from certrack.certificates.sampled_adaptive.certify import SampledAdaptiveCertificate
 from certrack.core.rounding import rounded_down, rounded_up
 
 
@@ -53,6 +54,37 @@ def _polytope(sampled: ImplementedCertificate) -> dict[str, Any] | None:
         "region": polytope.region,
         "largest_box": polytope.largest_box(),
     }
+
+
+def sampled_summary(sampled: SampledAdaptiveCertificate) -> dict[str, Any]:
+    """What a certificate of the adaptive law as implemented has besides others."""
+    return {
+        "starts": list(sampled.starts),
+        "estimates": [list(pair) for pair in sampled.estimates],
+        "from_file": sampled.from_file,
+    }
+
+
+def from_its_starts(sampled: SampledAdaptiveCertificate) -> str:
+    """For which starts it is, in words."""
+    return "from its start" if sampled.from_file else "from starts near the reference"
+
+
+def sampled_notes(sampled: SampledAdaptiveCertificate, digits: int) -> list[str]:
+    """What is proven of the adaptive law as the drive runs it."""
+    if not sampled.verified:
+        return []
+    errors = [f"|e_{i + 1}(0)| <= {rounded_down(v, 4)}" for i, v in enumerate(sampled.starts)]
+    delta, *thetas = (f"[{low:g}, {high:g}]" for low, high in sampled.estimates)
+    named = [f"delta_hat(0) in {delta}"]
+    named += [f"theta_hat_{i + 1}(0) in {pair}" for i, pair in enumerate(thetas)]
+    whose = "the file's own start is one of them"
+    if not sampled.from_file:
+        whose = "the file's own start is not proven to be one of them, and nothing is said of it"
+    return [
+        f"the adaptive law as implemented: limsup |e_1| <= {rounded_up(sampled.bound, digits)}, "
+        f"between its samples too, from {', '.join((*errors, *named))}; {whose}"
+    ]
 
 
 def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:

@@ -207,7 +207,6 @@ def outputs_of(loop: SampledLoop) -> Callable[[Array, Array], Array] | None:
     """Measured values as a function of states and parameters; None where they are the states."""
     if loop.plant.outputs == loop.plant.states:
         return None
-    evaluate = numpy_callable(
-        [loop.plant.states, [*loop.parameters, *loop.pieces]], loop.plant.outputs
-    )
-    return lambda x, p: rows(evaluate(x, p), x.shape[1])
+    count = len(loop.parameters)
+    evaluate = numpy_callable([loop.plant.states, loop.parameters], loop.plant.outputs)
+    return lambda x, p: rows(evaluate(x, p[:count]), x.shape[1])  # pieces of time follow

@@ -139,7 +139,10 @@ def _same_structure(a: System, b: System) -> bool:
 def _same_truth_structure(a: Truth, b: Truth) -> bool:
     """Whether two truths of one plant surely differ in numbers only."""
     if a.states:
-        forms = [(v.states, v.rates, v.outputs, [name for name, _ in v.constants]) for v in (a, b)]
+        forms = [
+            (v.states, v.rates, v.outputs, v.motors, [name for name, _ in v.constants])
+            for v in (a, b)
+        ]
         return forms[0] == forms[1]
     return a.omega == b.omega and not b.states and not a.constants  # these may fill a coupling
 

@@ -14,6 +14,7 @@ from certrack.laws import LAWS, Law
 from certrack.laws.observer import Observer
 from certrack.laws.online import Online
 from certrack.model.implementation import Implementation
+from certrack.model.motors import Motors, Supply
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
@@ -24,6 +25,10 @@ from certrack.systems.system import Settings, System
 
 #: Fields of every law that are tables below its own.
 LAW_TABLES: dict[str, type[Any]] = {"observer": Observer, "online": Online}
+
+
+#: Fields of the truth that are tables below its own.
+TRUTH_TABLES: dict[str, type[Any]] = {"motors": Motors, "supply": Supply}
 
 
 def _keys_below(owner: Any, below: str = "") -> dict[str, Key]:
@@ -61,6 +66,7 @@ TABLES: dict[str, dict[str, Key]] = {
     "plant.ranges": _keys_below(Plant, "ranges"),
     "plant.uncertainty": _keys_below(Uncertainty),
     "truth": _keys_below(Truth),
+    **{f"truth.{name}": _keys_below(owner) for name, owner in TRUTH_TABLES.items()},
     "reference": dict(FORMULA_KEYS),
     **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
     **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},

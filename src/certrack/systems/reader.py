@@ -20,7 +20,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
-from certrack.systems.keys import LAW_TABLES, TABLES, law_keys
+from certrack.systems.keys import LAW_TABLES, TABLES, TRUTH_TABLES, law_keys
 from certrack.systems.lines import line_of
 from certrack.systems.reference_reader import read_reference
 from certrack.systems.shipped import catalog, shipped_text
@@ -220,12 +220,16 @@ def _read_plant(table: Any) -> Plant:
 
 
 def _read_truth(table: Any, plant: Plant) -> Truth:
-    checks.known_keys("truth", table, TABLES["truth"])
+    checks.known_keys("truth", table, [*TABLES["truth"], *TRUTH_TABLES])
     constants = _read_named_values("truth.constants", table.get("constants", {}))
     values = table | {"constants": constants}
     if "tau" in values and "states" not in values:
         numbers = constants_of_truth(plant, constants) if constants else plant.constant_values
         values["tau"] = TABLES["truth"]["tau"].evaluated("truth.tau", values["tau"], numbers)
+    for name, kind in TRUTH_TABLES.items():
+        if name in values:
+            known = plant.constant_values
+            values[name] = kind(**read_values(f"truth.{name}", values[name], known))
     return Truth(**values)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import fields
@@ -23,7 +24,7 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import PiecewiseReference, Reference, SoftStart, SymbolicReference
 from certrack.references.registry import kind_of
-from certrack.systems.keys import LAW_TABLES
+from certrack.systems.keys import LAW_TABLES, TRUTH_TABLES
 from certrack.systems.system import System, require_system
 
 #: Lists of numbers from this length on are written as one item.
@@ -154,6 +155,13 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
     values = _present(field_values(truth))
     if truth.states is not None:
         del values["theta"]
+    for name in TRUTH_TABLES:
+        if name in values:
+            values[name] = {
+                key: value
+                for key, value in _present(field_values(values[name])).items()
+                if value != math.inf
+            }
     return values | {"constants": dict(truth.constants)}
 
 

@@ -55,7 +55,7 @@ def certify_bootstrap(
                 raise NoCertificate("the bootstrap is for the adaptive law")
             if effort == "fast":
                 raise NoCertificate("takes more time: --effort default")
-            first = first or _first_proof(exact)
+            first = first or first_proof(exact)
             stages = bootstrap(system, exact, first, effort, progress)
             if not bounds_error(stages):
                 raise NoCertificate(_why_no_smaller(exact.n))
@@ -77,7 +77,14 @@ def _why_no_smaller(n: int) -> str:
     )
 
 
-def _first_proof(exact: ErrorProblem) -> Proof:
+def first_proof(exact: ErrorProblem) -> Proof:
+    """A proven bound on e_n, to begin with.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none.
+    """
     target = exact.n - 1
     solution = best_solution(SemidefiniteProgram(exact.in_floats(), target))
     proof = None if solution is None else prove(exact, solution, target)

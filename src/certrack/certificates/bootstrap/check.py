@@ -10,7 +10,7 @@ from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof, fa
 from certrack.certificates.bootstrap.proof import failed_part
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.regions import after, failed_region, first_box, rows_of
-from certrack.certificates.bootstrap.stage import BootstrapStage
+from certrack.certificates.bootstrap.stage import BootstrapStage, Claiming
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.problem import ErrorProblem
@@ -54,18 +54,18 @@ def _failed_stage(
     return ""
 
 
-def bounds_error(stages: Sequence[BootstrapStage]) -> bool:
+def bounds_error(stages: Sequence[Claiming]) -> bool:
     """Whether the stages bound e_1 on both sides."""
     return all(_error_claims(stages, side) for side in (1, -1))
 
 
-def _error_claims(stages: Sequence[BootstrapStage], side: int) -> list[str]:
+def _error_claims(stages: Sequence[Claiming], side: int) -> list[str]:
     """The texts of all bounds of e_1 on one side."""
     claims = [c for stage in stages for f in stage.functions for c in f.claims if c.error == 0]
     return [c.bound for c in claims if c.side == side]
 
 
-def claimed_bound(stages: Sequence[BootstrapStage]) -> str:
+def claimed_bound(stages: Sequence[Claiming]) -> str:
     """The text of the bound on limsup |e_1| that the stages claim: the worse of its two sides.
 
     Raises

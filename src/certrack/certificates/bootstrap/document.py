@@ -48,81 +48,92 @@ def bootstrap_stages(entries: list[Any]) -> tuple[BootstrapStage, ...]:
 
 
 def _stage_of(entry: Any) -> BootstrapStage:
-    _keys(entry, BootstrapStage)
-    region = entry["region"]
-    _keys(region, Region)
+    require_fields(entry, BootstrapStage)
+    functions = list_of(entry["functions"], _any_function, MAX_FUNCTIONS)
+    return BootstrapStage(region_record(entry["region"]), functions)
+
+
+def region_record(region: Any) -> Region:
+    """A region, well formed."""
+    require_fields(region, Region)
     pairs = {"box", "regressor"}
     single = {"row", "drift", "remainder"}
     parts = {
-        name: _many(region[name], _pair)
+        name: list_of(region[name], pair_of_texts)
         if name in pairs
-        else _pair(region[name])
+        else pair_of_texts(region[name])
         if name in single
-        else _many(region[name], _text)
+        else list_of(region[name], one_text)
         for name in (entry.name for entry in fields(Region))
     }
-    functions = _many(entry["functions"], _any_function, MAX_FUNCTIONS)
-    return BootstrapStage(Region(**parts), functions)
+    return Region(**parts)
 
 
 def _any_function(entry: Any) -> FunctionProof | PolynomialProof:
     polynomial = isinstance(entry, dict) and "degree" in entry
-    return _polynomial_of(entry) if polynomial else _function_of(entry)
+    return _polynomial_of(entry) if polynomial else function_record(entry)
 
 
 def _polynomial_of(entry: Any) -> PolynomialProof:
-    _keys(entry, PolynomialProof)
+    require_fields(entry, PolynomialProof)
     if type(entry["degree"]) is not int or type(entry["reference"]) is not bool:
         raise TypeError("degree is no integer, or reference neither true nor false")
     kinds = ("squares", "inputs", "sectors", "majorants", "holds", "grams")
     return PolynomialProof(
         degree=entry["degree"],
         reference=entry["reference"],
-        alpha=_text(entry["alpha"]),
-        W=_many(entry["W"], _text),
-        mu=_many(entry["mu"], _text),
-        **{name: _many(entry[name], lambda texts: _many(texts, _text)) for name in kinds},
-        claims=_many(entry["claims"], _claim, MAX_CLAIMS),
+        alpha=one_text(entry["alpha"]),
+        W=list_of(entry["W"], one_text),
+        mu=list_of(entry["mu"], one_text),
+        **{name: list_of(entry[name], lambda texts: list_of(texts, one_text)) for name in kinds},
+        claims=list_of(entry["claims"], _claim, MAX_CLAIMS),
     )
 
 
-def _function_of(entry: Any) -> FunctionProof:
-    _keys(entry, FunctionProof)
+def function_record(entry: Any) -> FunctionProof:
+    """A quadratic function, well formed."""
+    require_fields(entry, FunctionProof)
     return FunctionProof(
-        alpha=_text(entry["alpha"]),
-        G=_many(entry["G"], lambda row: _many(row, _text)),
-        **{name: _many(entry[name], _text) for name in MULTIPLIERS},
-        claims=_many(entry["claims"], _claim, MAX_CLAIMS),
+        alpha=one_text(entry["alpha"]),
+        G=list_of(entry["G"], lambda row: list_of(row, one_text)),
+        **{name: list_of(entry[name], one_text) for name in MULTIPLIERS},
+        claims=list_of(entry["claims"], _claim, MAX_CLAIMS),
     )
 
 
 def _claim(entry: Any) -> RowBound:
-    _keys(entry, RowBound)
+    require_fields(entry, RowBound)
     for name in ("error", "side"):
         if type(entry[name]) is not int:
             raise TypeError(f"{name} is no integer")
-    return RowBound(entry["error"], entry["side"], _text(entry["scale"]), _text(entry["bound"]))
+    return RowBound(
+        entry["error"], entry["side"], one_text(entry["scale"]), one_text(entry["bound"])
+    )
 
 
-def _keys(entry: Any, kind: type) -> None:
+def require_fields(entry: Any, kind: type) -> None:
+    """Refuse what is no object with the fields of a kind."""
     names = [field.name for field in fields(kind)]
     if not isinstance(entry, dict) or set(entry) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
 
 
-def _text(value: Any) -> str:
+def one_text(value: Any) -> str:
+    """A decimal text."""
     from_text(value)
     return str(value)
 
 
-def _pair(value: Any) -> tuple[str, str]:
-    low, high = _many(value, _text, 2)
+def pair_of_texts(value: Any) -> tuple[str, str]:
+    """Two decimal texts."""
+    low, high = list_of(value, one_text, 2)
     return low, high
 
 
-def _many(
+def list_of(
     values: Any, read: Callable[[Any], Any], most: int = MAX_VECTOR_LENGTH
 ) -> tuple[Any, ...]:
+    """A list that is not too long, each entry read."""
     if not isinstance(values, (list, tuple)):
         raise TypeError("a list is missing")
     if len(values) > most:

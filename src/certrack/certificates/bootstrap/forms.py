@@ -4,8 +4,9 @@ w = (zeta, 1, a, b, y, rho, t, o, psi v): the errors z = m + r zeta in the box, 
 their bounds on the box, the remainder h - k x + phi^T (theta - theta_m) = c + r_h rho, and
 theta = theta_m + r_t t. If g_n has a range, two entries say where 1/v is in [1/v_1, 1], and v
 between its chord and what is below it. For each phi_i that is not constant, phi_i = phi_m + r_i
-psi, there are the three entries of psi v, v = (1, zeta_n, zeta of theta_tilde_i). All of w but the
-1 is in [-1, 1]. At a corner
+psi, there are the three entries of psi v, v = (1, zeta_n, zeta of theta_tilde_i). Where something
+more acts on the rates of z, such as what a sampled loop adds, each of it is one more entry, scaled
+to its bound. All of w but the 1 is in [-1, 1]. At a corner
 
     zeta' = F w,    0 = relation of w    (both affine in pi for every w).
 
@@ -64,8 +65,16 @@ class Forms:
     radius: np.ndarray
 
 
-def forms_of(loop: AdaptiveLoop, region: RegionNumbers) -> Forms:
-    """All forms, in the arithmetic of the arguments."""
+def forms_of(loop: AdaptiveLoop, region: RegionNumbers, acting: np.ndarray | None = None) -> Forms:
+    """All forms, in the arithmetic of the arguments.
+
+    Parameters
+    ----------
+    loop : AdaptiveLoop
+    region : RegionNumbers
+    acting : (size,) array, optional
+        Bounds of what else acts on the rates of the errors z; nothing if left out.
+    """
     n, r, size = loop.n, loop.r, loop.size
     zero = 0 * loop.leak_gain
     na, nb, ny = loop.Ua.shape[1], loop.Ub.shape[1], len(loop.Y)
@@ -73,7 +82,8 @@ def forms_of(loop: AdaptiveLoop, region: RegionNumbers) -> Forms:
     varying = [i for i in range(r) if region.regressor[i][0] != region.regressor[i][1]]
     scales = 2 if loop.largest_scale > 1 else 0
     begin = size + 1 + na + nb + ny + 1 + len(ranged) + scales
-    width = begin + 3 * len(varying)
+    more = [] if acting is None else [i for i in range(size) if acting[i] != 0]
+    width = begin + 3 * len(varying) + len(more)
     unit = np.eye(width, dtype=loop.M.dtype) + zero
     counts = [1, na, nb, ny, 1, len(ranged)]
     one, a, b, y, rho, t, of_scale = np.split(unit[size:begin], np.cumsum(counts))
@@ -117,7 +127,11 @@ def forms_of(loop: AdaptiveLoop, region: RegionNumbers) -> Forms:
         rates[-1] = rates[-1] - loop.gain_sign * loop.smallest_gain * pi * d
         pulled = loop.gain_sign * pi * e[-1] - loop.leak_gain * (d - prior)
         parts = [rates, -loop.Gamma @ drive, [loop.gain_rate * pulled]]
-        F = np.vstack([part for part in parts if len(part)]) / radius[:, None]
+        F = np.vstack([part for part in parts if len(part)])
+        for column, i in zip(unit[width - len(more) :], more, strict=True):
+            assert acting is not None
+            F[i] = F[i] + acting[i] * column
+        F = F / radius[:, None]
         corners.append(Corner(F, linear - pi * inverse))
     places = range(size + 1, size + 1 + na)
     return Forms(

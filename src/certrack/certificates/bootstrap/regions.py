@@ -70,7 +70,10 @@ def _cut_to(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
 
 
 def after(known: Reached, functions: Sequence[Bounding], rows: Sequence[np.ndarray]) -> Reached:
-    """What is known with the bounds of a stage; its last row is that of ubar."""
+    """What is known with the bounds of a stage; its last row is that of ubar.
+
+    Bounds of other rows are left to whoever stated them.
+    """
     box, size = known.box.copy(), len(known.box)
     interval = before = known.interval_of(rows[-1])
     for function in functions:
@@ -78,7 +81,7 @@ def after(known: Reached, functions: Sequence[Bounding], rows: Sequence[np.ndarr
             bound = from_text(claim.bound)
             if claim.error < size:
                 box[claim.error] = _cut_to(box[claim.error], claim.side, bound)
-            else:
+            elif claim.error == size:
                 interval = _cut_to(interval, claim.side, bound)
     if interval == before:
         return replace(known, box=box)
@@ -104,7 +107,7 @@ def first_box(loop: AdaptiveLoop, proof: Proof) -> Reached:
 
 def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
     """What the next stage stands on."""
-    box = tuple(_wider(low, high, WIDER) for low, high in known.box)
+    box = tuple(wider_texts(low, high, WIDER) for low, high in known.box)
     exact = np.array([[from_text(v) for v in pair] for pair in box], dtype=object)
     place = box_of_states(loop, exact)
     slope = tuple(f"{v:.{FREE_DIGITS}g}" for v in ranges.fitted_slope(place, FIT_POINTS))
@@ -117,7 +120,7 @@ def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
         low, high = (rational_float(v) for v in ranges.bounds(combination, place))
         size = sum((abs(a) * b for a, b in zip(combination.slope, sizes, strict=True)), spread)
         more = rational(ROUNDING_SHARE) * (size + abs(low) + abs(high)) + rational(UNDERFLOW_ROOM)
-        return _wider(low - spread - more, high + spread + more, LOOSER)
+        return wider_texts(low - spread - more, high + spread + more, LOOSER)
 
     regressor = tuple(
         enclosed(_single(loop, i)) if value is None else (value, value)
@@ -131,21 +134,35 @@ def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
     start = Region(box, middle, slope, ("0", "0"), regressor, drift, ("0", "0"), ())
     numbers = start.numbers()
     combination, spread = remainder_of(loop, numbers)
-    row = _wider(*known.interval_of(numbers.linear_row(loop)), WIDER)
+    row = wider_texts(*known.interval_of(numbers.linear_row(loop)), WIDER)
     reach = tuple(_up(rational_float(v)) for v in largest_reach(loop, place))
     return replace(start, row=row, remainder=enclosed(combination, spread), reach=reach)
 
 
 def failed_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached, region: Region) -> str:
     """Empty if a stage stands on what is known and its ranges hold, else what is wrong."""
+    if reason := failed_shape(loop, region):
+        return reason
     numbers = region.numbers()
-    shapes = (len(numbers.box), len(numbers.middle), len(numbers.slope), len(numbers.regressor))
-    if shapes != (loop.size, loop.r, loop.n, loop.r) or len(numbers.reach) != len(loop.selections):
-        return "a stage does not have the shape of the loop"
     row = numbers.linear_row(loop)
     intervals = [*zip(numbers.box, known.box, strict=True), (numbers.row, known.interval_of(row))]
     if not all(new[0] < old[0] and new[1] > old[1] for new, old in intervals):
         return "a stage's box does not hold what was proven before"
+    return failed_ranges(loop, ranges, region)
+
+
+def failed_shape(loop: AdaptiveLoop, region: Region) -> str:
+    """Empty if a region has as many numbers as the loop needs."""
+    numbers = region.numbers()
+    shapes = (len(numbers.box), len(numbers.middle), len(numbers.slope), len(numbers.regressor))
+    if shapes != (loop.size, loop.r, loop.n, loop.r) or len(numbers.reach) != len(loop.selections):
+        return "a stage does not have the shape of the loop"
+    return ""
+
+
+def failed_ranges(loop: AdaptiveLoop, ranges: Ranges, region: Region) -> str:
+    """Empty if the ranges of a region hold on its box, whatever that stands on."""
+    numbers = region.numbers()
     place, zero = box_of_states(loop, numbers.box), rational(0)
     if any(not v > 0 for v in numbers.reach) or any(
         v < rational_float(w)
@@ -205,7 +222,7 @@ def rational_float(value: float) -> Any:
     return rational(float(value))
 
 
-def _wider(low: Any, high: Any, part: float) -> TextPair:
+def wider_texts(low: Any, high: Any, part: float) -> TextPair:
     """Texts of an interval that is strictly wider."""
     more = rational(part) * (high - low)
     return _minus(_up(more - low)), _up(high + more)

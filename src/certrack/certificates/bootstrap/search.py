@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from certrack.certificates.bootstrap.box import Region
 from certrack.certificates.bootstrap.forms import forms_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.polynomial_stages import polynomial_stages, shrunk
 from certrack.certificates.bootstrap.program import BootstrapProgram
-from certrack.certificates.bootstrap.proof import prove_function, row_over_box
+from certrack.certificates.bootstrap.proof import FunctionProof, prove_function, row_over_box
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.rates import Rate, best_of_rates
 from certrack.certificates.bootstrap.regions import Reached, after, first_box, next_region, rows_of
@@ -67,7 +68,7 @@ def bootstrap(
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
     rates: dict[Group, Rate] = {}
-    starts = _starts(loop, float(from_text(first.alpha)))
+    starts = starting_rates(loop, float(from_text(first.alpha)))
     sweep, stalled = sweep_of(loop, first), False
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
@@ -116,7 +117,7 @@ def sweep_of(loop: AdaptiveLoop, first: Proof) -> tuple[float, ...]:
     return tuple(map(float, np.geomspace(slow, max(fast, slow), SWEPT)))
 
 
-def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
+def starting_rates(loop: AdaptiveLoop, slow: float) -> list[float]:
     """An alpha for each row: e_1 ... e_{n-1} follow e_n alone, and faster than the estimates."""
     head = loop.M[:-1, :-1].astype(float)
     fast = -float(np.linalg.eigvals(head).real.max()) if len(head) else slow
@@ -134,12 +135,53 @@ def _next_stage(
     groups: int,
 ) -> tuple[BootstrapStage, Reached]:
     region = next_region(loop, ranges, known)
+    functions, later = functions_on(loop, region, None, known, rates, starts, tries, sweep, groups)
+    return BootstrapStage(region, functions), later
+
+
+def functions_on(
+    loop: AdaptiveLoop,
+    region: Region,
+    acting: np.ndarray | None,
+    known: Reached,
+    rates: dict[Group, Rate],
+    starts: list[float],
+    tries: int,
+    sweep: Sequence[float],
+    groups: int,
+    more: Sequence[np.ndarray] = (),
+) -> tuple[tuple[FunctionProof, ...], Reached]:
+    """Functions that bound the rows on a region, and what is known with them.
+
+    Parameters
+    ----------
+    loop : AdaptiveLoop
+        In exact rationals.
+    region : Region
+    acting : (size,) array of rationals, or None
+        What else acts on the rates, as of :func:`forms_of`.
+    known : Reached
+    rates : dict
+        Of the groups of rows; they learn.
+    starts : list of floats
+        An alpha for each row to begin with.
+    tries, sweep : as of :func:`best_of_rates`
+    groups : int
+        So many groups of rows are bounded.
+    more : rows
+        Over the errors; they are bounded, too, each side by a function of its own.
+    """
     numbers = region.numbers()
-    forms = forms_of(loop, numbers)
-    floats = forms_of(loop.in_floats(), numbers.in_floats())
-    rows = rows_of(loop, numbers)
-    functions, programs = [], {}
-    for group in groups_of(loop, len(forms.sectors))[:groups]:
+    forms = forms_of(loop, numbers, acting)
+    of_floats = None if acting is None else acting.astype(float)
+    floats = forms_of(loop.in_floats(), numbers.in_floats(), of_floats)
+    of_region = rows_of(loop, numbers)
+    rows = [*of_region, *more]
+    wanted = groups_of(loop, len(forms.sectors))[:groups]
+    wanted += [((i, side),) for i in range(len(of_region), len(rows)) for side in (1, -1)]
+    functions: list[FunctionProof] = []
+    programs: dict[int, BootstrapProgram] = {}
+    for group in wanted:
         if len(group) not in programs:
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
@@ -152,7 +194,7 @@ def _next_stage(
             continue
         proof = prove_function(forms, solution, group, rows)
         functions += [] if proof is None else [proof]
-    return BootstrapStage(region, tuple(functions)), after(known, functions, rows)
+    return tuple(functions), after(known, functions, of_region)
 
 
 def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:

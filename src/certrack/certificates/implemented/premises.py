@@ -152,10 +152,10 @@ def _sampled_reference(system: System) -> Premise:
             f" and jumps by at most {rounded_up(float_up(size), 6)}, at least {float(spacing):.6g} "
             "s apart"
         )
-    return Premise(SAMPLED_REFERENCE, _status(system.reference, order), text)
+    return Premise(SAMPLED_REFERENCE, lipschitz_status(system.reference, order), text)
 
 
-def _status(reference: Reference, order: int) -> str:
+def lipschitz_status(reference: Reference, order: int) -> str:
     """What is known of the Lipschitz constant of y_d^(order)."""
     if not type(reference).__module__.startswith("certrack."):
         return ASSUMED
