@@ -1,11 +1,14 @@
 """The laws of the textbooks: each is a law like any other, and does what its formulas promise."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
 import certrack
+from certrack.cli import main
 from certrack.core.errors import InputError
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.sampled.events import event_timeline
@@ -204,6 +207,23 @@ def test_its_inputs_keep_the_limit_and_members_do():
     system = predictive(input_limit=1.5)
     assert certrack.simulate(system).metrics.peak_input == pytest.approx(1.5)
     assert certrack.ensemble(system, 2).statistics.metrics["peak_input"].summary()["max"] <= 1.5
+
+
+def test_what_is_said_without_osqp(tmp_path, monkeypatch, capsys):
+    """Neither a traceback nor a run that is lost, and what needs no plan runs on."""
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    limited = predictive(input_limit=1.5)
+    for run in (certrack.simulate, lambda system: certrack.ensemble(system, 2)):
+        with pytest.raises(certrack.MissingExtra, match=r"pip install 'certrack\[mpc\]'"):
+            run(limited)
+    assert certrack.simulate(predictive()).metrics.peak_input > 2.0
+    file = tmp_path / "limited.toml"
+    file.write_text(certrack.to_text(limited))
+    with pytest.raises(SystemExit) as stop:
+        main(["simulate", str(file)])
+    said = capsys.readouterr().err.strip()
+    assert stop.value.code == 2
+    assert said.count("\n") == 0 and "needs OSQP" in said and "certrack[mpc]" in said
 
 
 def test_what_plans_cannot_do_is_refused(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,10 @@ from click.testing import CliRunner
 import certrack
 from certrack.cli import cli, main
 from certrack.laws.baselines.pid import Pid
+from certrack.model.implementation import Implementation
 from certrack.plotting.law_comparison import law_comparison_figure
 from certrack.reports.law_comparison import law_notes, law_table
+from certrack.tuning.comparison import compare_laws as comparison_module
 from certrack.tuning.comparison.compare_laws import NOTHING_FOUND, LawFigures, compare_laws
 from certrack.tuning.comparison.entrants import ENTRANTS, entrant_of, informed, most_feedforward
 from certrack.tuning.comparison.gain_search import search_gains
@@ -52,6 +55,44 @@ def test_every_law_can_enter(short):
             assert entrant.reference == system.reference and entrant.truth == system.truth
             for v in (family.start - 0.3, family.start + 0.3):
                 entrant.replace(law=family.written(v))
+
+
+def untouched(*_):
+    raise AssertionError("searched before it was known whether the laws can be compared")
+
+
+@pytest.fixture
+def motor():
+    """A system without limits of the input, for a short time."""
+    system = certrack.load("dual-motor-lean").with_settings(duration=1.5, tail=1.0)
+    return system.replace(implementation=Implementation(period=0.002))
+
+
+def test_without_osqp_a_comparison_with_mpc_says_so_at_once(motor, monkeypatch):
+    """Not that no gains were found: nothing was solved."""
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    monkeypatch.setattr(comparison_module, "search_gains", untouched)
+    with pytest.raises(certrack.MissingExtra, match=r"certrack\[mpc\]"):
+        compare_laws(motor, ["lqr", "mpc"], budget=10, members=2)
+    entrant, _ = entrant_of(motor, "mpc")
+    limited = replace(entrant, law=replace(entrant.law, input_limit=0.1))
+    with pytest.raises(certrack.MissingExtra):
+        Trials(limited, None).metrics(limited.law)
+
+
+@pytest.mark.parametrize("saturation", [None, (-50, 50)])
+def test_what_plans_do_not_know_is_refused_before_any_search(
+    motor, monkeypatch, tmp_path, capsys, saturation
+):
+    monkeypatch.setattr(comparison_module, "search_gains", untouched)
+    drive = replace(motor.implementation, rate_limit=1e4, saturation=saturation)
+    file = tmp_path / "limited.toml"
+    file.write_text(certrack.to_text(motor.replace(implementation=drive)))
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", str(file), "--laws", "lqr,mpc", "--evaluations", "10", "-n", "2"])
+    said = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2
+    assert "--laws" in said[-1] and "mpc does not fit" in said[-1] and "rate_limit" in said[-1]
 
 
 def test_what_nobody_knows_is_guessed_as_the_file_guesses(short):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from test_online import Moving
 
 import certrack
 from certrack.core.errors import InputError
 from certrack.laws.online import LEVEL, Online
 from certrack.laws.seeking import MIDDLE
 from certrack.model.implementation import Implementation
-from certrack.testing import LawConformance
 
 PERIOD = 0.002
 TRIES = {"amplitude": 0.15, "frequency": 0.08, "speed": 0.05, "effort": 0.006}
@@ -117,7 +117,7 @@ def test_a_file_can_state_it_and_the_adversary_replaces_it():
 
 
 @pytest.mark.slow
-class TestExtremumSeeking(LawConformance):
+class TestExtremumSeeking(Moving):
     """Exports carry it: among the tests is that of the C code."""
 
     base = certrack.load("dual-motor-lean")
@@ -126,7 +126,7 @@ class TestExtremumSeeking(LawConformance):
 
 
 @pytest.mark.slow
-class TestSpsa(LawConformance):
+class TestSpsa(Moving):
     base = certrack.load("dual-motor-lean")
     online = Online(c=(6.5,) * 4, **RULES["spsa"])
     system = base.replace(law=replace(base.law, online=online))

@@ -144,7 +144,7 @@ class PlannedMaps:
         bounds = (low - plan, high - plan)
         self.solved += 1
         if self._program is None:
-            self._program = _osqp().OSQP()
+            self._program = quadratic_programs().OSQP()
             self._program.setup(
                 scipy.sparse.csc_matrix(np.eye(MOVES)),
                 np.zeros(MOVES),
@@ -177,7 +177,13 @@ def _input_of(system: System) -> Callable[[Array, Array], Array]:
     return at
 
 
-def _osqp() -> Any:
+def quadratic_programs() -> Any:
+    """The module that solves them.
+
+    Raises
+    ------
+    MissingExtra
+    """
     try:
         import osqp
     except ImportError:

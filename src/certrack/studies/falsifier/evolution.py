@@ -39,7 +39,7 @@ class Search:
         self.evaluations += points.shape[1]
         errors = self.loop.errors(points)
         self._worst = max(self._worst, float(errors.max()))
-        self._progress(self.evaluations, self._budget, self._worst)
+        self._progress(min(self.evaluations, self._budget), self._budget, self._worst)
         return -errors
 
     def evolve(self, budget: int, seed: int) -> np.ndarray:

@@ -236,6 +236,8 @@ def compare_laws(
     ------
     InputError
         If a law is unknown or cannot be made for this plant.
+    MissingExtra
+        If nothing solves the plans of ``mpc``.
     """
     require_system(system)
     checks.integer("evaluations", budget, 10, 100_000)
@@ -258,12 +260,15 @@ def compare_laws(
         period=PERIODS_HELD * base.implementation.period if period is None else period,
     )
     aimed = replace(limits, peak_input=AIMED_PEAK * limits.peak_input)
+    entrants = {
+        name: with_input_limit(entrant, family, aimed.peak_input)
+        for name, (entrant, family) in entrants.items()
+    }
     total = len(entrants) + 1
     progress(0, total, None)
     rows = [measure.figures(AS_STATED, stated, base.law, limits, None)]
     for i, (name, (entrant, family)) in enumerate(entrants.items()):
         progress(i + 1, total, None)
-        entrant, family = with_input_limit(entrant, family, aimed.peak_input)
         trials = measure.trials_of(entrant)
         trials.starts = list(stated.starts)
         searched = search_gains(trials, family, aimed, measure.resting, budget, seed)

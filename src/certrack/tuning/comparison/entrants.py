@@ -20,6 +20,7 @@ from certrack.laws.lqr import LqrWeights
 from certrack.laws.registry import BASELINES
 from certrack.laws.robust import Robust
 from certrack.references.base import Reference
+from certrack.simulation.planned_input import quadratic_programs
 from certrack.systems.system import Settings, System
 from certrack.tuning.families import AdaptiveFamily, Family, PositiveGains, RobustFamily
 from certrack.tuning.linear_family import rates_of
@@ -209,10 +210,22 @@ def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
 
 
 def with_input_limit(entrant: System, family: Family, peak_input: float) -> tuple[System, Family]:
-    """The entrant and its gains, with a law that plans within this limit of |u| if it can."""
+    """The entrant and its gains, with a law that plans within this limit of |u| if it can.
+
+    Raises
+    ------
+    InputError
+        If no plans can be made for the system.
+    MissingExtra
+        If there is nothing that solves them.
+    """
     if not isinstance(entrant.law, Mpc):
         return entrant, family
-    limited = entrant.replace(law=replace(entrant.law, input_limit=peak_input))
+    quadratic_programs()
+    try:
+        limited = entrant.replace(law=replace(entrant.law, input_limit=peak_input))
+    except InputError as problem:
+        raise InputError("laws", f"{Mpc.kind} does not fit: {problem}") from None
     return limited, BaselineFamily(limited, Mpc, limited.law.feedforward)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.core.errors import CertrackError
+from certrack.core.errors import CertrackError, MissingExtra
 from certrack.integrators.base import Outcome
 from certrack.laws.base import Law
 from certrack.loops.plant import measured
@@ -72,6 +72,8 @@ class Trials:
         try:
             system = self.system.replace(law=law, implementation=replace(drive, period=period))
             return self._run(system.with_settings(**settings), period)
+        except MissingExtra:
+            raise  # nothing of the gains
         except CertrackError:
             return None  # a design that does not exist, or estimates that forget too fast
 
