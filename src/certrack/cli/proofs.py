@@ -185,6 +185,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     """
     from certrack import certificates
     from certrack.certificates.implemented.premises import LIMITS
+    from certrack.certificates.sampled_adaptive.premises import STARTS
     from certrack.cli import console
 
     proof = certificates.verify(certificate)
@@ -193,8 +194,9 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(console.to_json(asdict(proof)))
     elif proof.verified:
-        limited = any(premise.name == LIMITS for premise in proof.premises)
-        whose = " from simulation.x0" if limited else ""
+        named = {premise.name for premise in proof.premises}
+        whose = " from simulation.x0" if LIMITS in named else ""
+        whose = " from the starts stated below" if STARTS in named else whose
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         console.print_lines(premise_lines(proof.premises))
     if not proof.verified:
