@@ -1,6 +1,7 @@
 """The adaptive law as a drive runs it: its proof, what must be refused, and runs against it."""
 
 import copy
+import json
 import math
 from functools import cache
 
@@ -14,6 +15,7 @@ from certrack.certificates import to_document, verify
 from certrack.certificates.layout import digest_of
 from certrack.certificates.sampled_adaptive.certify import certify_sampled_adaptive
 from certrack.certificates.sampled_adaptive.document import sampled_adaptive_record
+from certrack.cli import main
 
 #: Of example1's continuous law, by the bootstrap.
 CONTINUOUS = 0.061792
@@ -65,6 +67,17 @@ def test_example1_at_one_millisecond_is_within_a_tenth_of_the_continuous_law():
 
 def test_the_record_is_read_as_it_was_written():
     assert sampled_adaptive_record(document()["proof"]) == found()[1]
+
+
+def test_the_command_line_says_of_which_starts_a_verified_bound_is(tmp_path, capfd):
+    path = tmp_path / "cert.json"
+    path.write_text(json.dumps(document()))
+    with pytest.raises(SystemExit) as ended:
+        main(["verify", str(path)])
+    assert ended.value.code == 0
+    first, *others = capfd.readouterr().out.splitlines()
+    assert first.endswith("from the starts stated below, resting on")
+    assert any("starts: |e_1(0)| <=" in line for line in others)
 
 
 def test_what_sampling_adds_must_be_below_what_is_said():

@@ -70,12 +70,13 @@ def certificates_frame(
     """
     best, broken = results.best, results.contradicted
     exists = best.exists
+    as_run = best is results.implemented or best is results.sampled
     header = {
         "effort": effort,
         "bound": best.bound if exists else None,
         "text": printed_bound(best.bound if exists else None, BOUND_TEXT_DIGITS),
         "method": best.kind if exists else "",
-        "loop": "implemented" if best is results.implemented else "continuous",
+        "loop": "implemented" if as_run else "continuous",
         "verified": results.verified,
         "reason": _reason(system, results),
         "contradicted": [premise.record() for premise in broken],
@@ -102,7 +103,8 @@ def _rows(results: Certificates) -> list[dict[str, Any]]:
     """Every certificate of this loop, in the order of the command line."""
     sampled = results.implemented.reason != NO_IMPLEMENTATION
     rows = []
-    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
+    drives = ("sampled",) if results.sampled.exists else ("implemented",)
+    for kind in (*results.kinds, *drives) if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         rows.append(
             {
@@ -122,7 +124,11 @@ def _reason(system: System, results: Certificates) -> str:
         return results.contradicted[0].detail
     if not results.best.exists:
         return results.vertices.reason or results.semidefinite.reason or results.best.reason
-    if system.implementation is not None and not results.implemented.verified:
+    if results.best is results.sampled or system.implementation is None:
+        return ""
+    if results.sampled.verified:
+        return "of the continuous law: the file's start is not one that sampled is proven for"
+    if not results.implemented.verified:
         return f"of the continuous law: {results.implemented.reason}"
     return ""
 

@@ -186,6 +186,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     from certrack import certificates
     from certrack.certificates.implemented.premises import LIMITS, REGION
     from certrack.certificates.region import is_only_in_region
+    from certrack.certificates.sampled_adaptive.premises import STARTS
     from certrack.cli import console
 
     proof = certificates.verify(certificate)
@@ -194,8 +195,10 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(console.to_json(asdict(proof)))
     elif proof.verified:
-        limited = any(premise.name in (LIMITS, REGION) for premise in proof.premises)
-        whose = " from simulation.x0" if limited or is_only_in_region(proof.premises) else ""
+        named = {premise.name for premise in proof.premises}
+        limited = bool(named & {LIMITS, REGION}) or is_only_in_region(proof.premises)
+        whose = " from simulation.x0" if limited else ""
+        whose = " from the starts stated below" if STARTS in named else whose
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         console.print_lines(premise_lines(proof.premises))
     if not proof.verified:
