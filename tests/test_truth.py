@@ -262,9 +262,9 @@ BAD = {
         "truth.outputs[1]: unknown name 't'; got om_L + 0.1*t. Known here: J_L, J_M, K_L, K_M, "
         "backlash, effectiveness_2, om_1, om_2, om_L, pi, split, th_1, th_2, th_L",
     ),
-    "no input": (
-        ("*u - K_L", "- K_L"),
-        "truth.rates: must contain the input u",
+    "no torque of a motor": (
+        ("T_1/J_M - K_L", "- K_L"),
+        "truth.motors.torques[0]: must occur in truth.rates; got T_1",
     ),
     "a constant with the name of a state": (
         ("split = 0.5", "split = 0.5\nth_L = 1"),
@@ -309,6 +309,14 @@ def test_bad_truths_are_named_in_one_line(edit, expected):
     message = re.sub(r"^drive\.toml:\d+: ", "drive.toml: ", message)
     assert message.startswith(f"drive.toml: {expected}")
     assert "\n" not in message and len(message) < 300
+
+
+def test_an_input_that_no_rate_has_is_refused():
+    truth = certrack.load("dual-motor-physical").truth
+    rates = [rate.text.replace("T_1", "1").replace("T_2", "1") for rate in truth.rates]
+    plain = replace(truth, rates=rates, motors=None, supply=None)
+    with pytest.raises(InputError, match="truth.rates: must contain the input u"):
+        certrack.load("dual-motor-physical").replace(truth=plain)
 
 
 def test_what_each_form_needs():
