@@ -176,8 +176,10 @@ def test_a_best_design_without_a_certificate_is_not_the_result(monkeypatch):
 
     def searched(stage, *_):
         search, family, base = GainSearch(system, None), stage.family, stage.problem.base
-        search.state.kept = [Candidate(family, base, family.start + k / 100) for k in range(7)]
-        search.state.best = search.state.kept[-1]
+        search.state.improvements = [
+            Candidate(family, base, family.start + k / 100) for k in range(7)
+        ]
+        search.state.best = search.state.improvements[-1]
         return search
 
     monkeypatch.setattr(tune_room, "_searched", searched)
