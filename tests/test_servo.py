@@ -14,8 +14,10 @@ from certrack.core.rounding import rounded_range
 from certrack.reports.certificates import certificates_notes
 from certrack.reports.tables import short_number
 from certrack.tuning import tune as tune_room
+from certrack.tuning.candidate import Candidate
 from certrack.tuning.fallback import MOST_CHECKS, best_certified
 from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED
+from certrack.tuning.search import GainSearch
 
 
 def run(*arguments):
@@ -172,6 +174,15 @@ def test_a_best_design_without_a_certificate_is_not_the_result(monkeypatch):
         asked.append(rates(of))
         return Certificate("cells", 1.0, verified=rates(of) <= sharpest)
 
+    def searched(stage, *_):
+        search, family, base = GainSearch(system, None), stage.family, stage.problem.base
+        search.state.improvements = [
+            Candidate(family, base, family.start + k / 100) for k in range(7)
+        ]
+        search.state.best = search.state.improvements[-1]
+        return search
+
+    monkeypatch.setattr(tune_room, "_searched", searched)
     monkeypatch.setattr(tune_room, "figures_of", figures)
     monkeypatch.setattr(tune_room, "certified", proof)
     best, first = rates(certrack.tune(system, starts=1).system), rates(system)

@@ -16,7 +16,7 @@ MOST_CHECKS = 6
 
 
 def best_certified(
-    kept: Sequence[Candidate], is_certified: Callable[[Candidate], bool]
+    improvements: Sequence[Candidate], is_certified: Callable[[Candidate], bool]
 ) -> tuple[Candidate | None, int]:
     """The best design that is certified, and how many were asked.
 
@@ -25,19 +25,20 @@ def best_certified(
 
     Parameters
     ----------
-    kept : sequence of Candidate
+    improvements : sequence of Candidate
         That keep all limits, each better than the one before; without the best of all.
     is_certified : callable
         The exact certificate.
     """
-    found, asked = None, 0
-    low, high = 0, len(kept)  # below low certified, from high on not
+    best: Candidate | None = None
+    asked = 0
+    low, high = 0, len(improvements)  # below low certified, from high on not
     while low < high and asked < MOST_CHECKS:
         # the last first: most often the best but one is certified already
         middle = high - 1 if asked == 0 else (low + high) // 2
         asked += 1
-        if is_certified(kept[middle]):
-            found, low = kept[middle], middle + 1
+        if is_certified(improvements[middle]):
+            best, low = improvements[middle], middle + 1
         else:
             high = middle
-    return found, asked
+    return best, asked

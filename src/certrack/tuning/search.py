@@ -41,7 +41,7 @@ class SearchState:
         The one that exceeds its limits least.
     excess : float
         By how much, in logarithms.
-    kept : list of Candidate
+    improvements : list of Candidate
         All that were the best when they were found, the last of them still.
     stopped, hurried : bool
         Whether the user ended the search, and whether nothing more is to be computed.
@@ -54,7 +54,7 @@ class SearchState:
     stopped: bool = False
     hurried: bool = False
     programs_per_start: list[int] = field(default_factory=list)
-    kept: list[Candidate] = field(default_factory=list)
+    improvements: list[Candidate] = field(default_factory=list)
 
     def ended_by(self, signal: BaseException) -> None:
         """Note that the user ended it, and in which way."""
@@ -134,7 +134,7 @@ class GainSearch:
             state.nearest, state.excess = candidate, excess
         if excess <= -KEPT_INSIDE and value < state.score and self.task.accepts(candidate):
             state.best, state.score = candidate, value
-            state.kept.append(candidate)
+            state.improvements.append(candidate)
             self._on_better(state)
 
 

@@ -231,16 +231,16 @@ def _fallback(
         return certified(finished(candidate), effort=effort, progress=lambda *_: said()).verified
 
     try:
-        found, asked = best_certified(search.state.kept[:-1], is_certified)
+        other, asked = best_certified(search.state.improvements[:-1], is_certified)
     except (KeyboardInterrupt, Cancelled) as signal:
         search.state.ended_by(signal)
         return None, "nothing is certified; the search of a design that is was interrupted"
-    if found is None:
+    if other is None:
         return None, (
             f"nothing is certified of the best design, nor of {asked} others that the search went "
             "through; narrow plant.ranges, or give a smaller --noise"
         )
-    return found, (
+    return other, (
         "the best design of the search has no certificate; this is the best on the way to it "
         f"that has one, of {asked} asked; a smaller --noise may find a better one"
     )
