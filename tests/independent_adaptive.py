@@ -91,6 +91,8 @@ class Drive:
     def __init__(self, table, system, steepest):
         drive = table["implementation"]
         demand(not any(drive.get(key) for key in NOT_COVERED), "the drive is not covered")
+        law = table["law"]
+        demand("observer" not in law and not law.get("sampled_feedforward"), "the law, too")
         n = system.n
         quanta = drive.get("measurement_quantum", [0] * n)
         bounds = drive.get("noise_bound", [0] * n)

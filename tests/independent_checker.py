@@ -889,6 +889,7 @@ def check_premises_of(document, system):
     from independent_region import check_region
 
     table = tomllib.loads(document["system"])
+    demand("integral" not in table["law"], "integral action has no such certificate")
     check_premises(document["premises"], system, table, regional="region" in document)
     check_region(document, system, table)
 

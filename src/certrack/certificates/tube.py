@@ -153,7 +153,8 @@ def tube(
     proof : Proof, or the stages of a cascade
         The semidefinite certificate's proof, or ``Certificates.quadratic``.
     box : n intervals, optional
-        Set of initial plant states; the system's x0 if left out.
+        Set of initial plant states; the system's x0 if left out. Where a premise holds in a region
+        only, the tube is of starts within ``Certificates.starts_box``, whatever box is asked for.
 
     Returns
     -------
