@@ -19,7 +19,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.bootstrap import polynomial_stages as polynomial_stages_room
 from certrack.certificates.bootstrap import search
 from certrack.certificates.bootstrap.box import interval_of
-from certrack.certificates.bootstrap.certify import _first_proof, certify_bootstrap
+from certrack.certificates.bootstrap.certify import certify_bootstrap, first_proof
 from certrack.certificates.bootstrap.check import bounds_error, claimed_bound
 from certrack.certificates.bootstrap.conditions import Polynomials, layout_of, sums_of_squares
 from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootstrap
@@ -141,7 +141,7 @@ class FirstStage:
     def __post_init__(self):
         self.problem = error_problem(self.system, rational)
         self.loop = adaptive_loop(self.system, self.problem)
-        self.proof = _first_proof(self.problem)
+        self.proof = first_proof(self.problem)
         self.ranges = Ranges(formulas_of(self.system), self.loop)
         self.known = first_box(self.loop, self.proof)
         moved = self.known.box.copy()
@@ -662,7 +662,7 @@ def test_rates_that_are_tried_lie_between_the_slow_and_the_fast(stage):
     assert sweep[-1] == pytest.approx(max(fast, 1.5 * slow))
     ratios = np.array(sweep[1:]) / np.array(sweep[:-1])
     assert ratios == pytest.approx(ratios[0])
-    starts = search._starts(loop, slow)
+    starts = search.starting_rates(loop, slow)
     assert len(starts) == loop.n + loop.r + 2  # of every error, and of the row of ubar
     head = loop.M[:-1, :-1].astype(float)
     errors = -np.linalg.eigvals(head).real.max() if len(head) else slow

@@ -27,7 +27,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
 from certrack.certificates.implemented.period import one_period
-from certrack.certificates.implemented.premises import _covered, _status
+from certrack.certificates.implemented.premises import _covered, lipschitz_status
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
     prove_implemented,
@@ -243,14 +243,14 @@ def test_what_is_known_of_the_slope_of_the_last_derivative(
 
     monkeypatch.setattr(implemented_premises, "lipschitz_bound", bound)
     reference = certrack.SymbolicReference(signal, declared=declared)
-    assert _status(reference, 1) == status
-    assert _status(SoftStart(reference, 0.5), 1) == status
+    assert lipschitz_status(reference, 1) == status
+    assert lipschitz_status(SoftStart(reference, 0.5), 1) == status
     assert set(asked) <= {(None, 1)} and bool(asked) == (len(declared or ()) > 2)
 
 
 def test_nothing_is_known_of_a_foreign_reference():
     Foreign = type("Foreign", (), {"__module__": "somewhere"})
-    assert _status(Foreign(), 1) == ASSUMED
+    assert lipschitz_status(Foreign(), 1) == ASSUMED
 
 
 @pytest.mark.parametrize("delay", ["0", "1/3"])
