@@ -19,7 +19,7 @@ ROW_REMEDY = (
 BEYOND_REMEDY = (
     "The factor of x_{i+1} stands in plant.chain. A state beyond it does not fit the chain: take "
     "one that stays small in its place, such as the twist of a shaft and its rate, and bound its "
-    "term by plant.uncertainty.Delta (see the tutorial, 'A shaft with damping')"
+    "term by plant.uncertainty.Delta (see the tutorial, 'A motor and a load')"
 )
 
 #: The same as ROW_REMEDY, for g_n.
