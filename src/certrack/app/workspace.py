@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from certrack.app.messages import require_text_size
 from certrack.core.errors import InputError
@@ -50,14 +51,11 @@ class FileChanged(InputError):
         Of what is there now.
     """
 
-    digest: str = ""
-
-
-def file_changed(name: str, reason: str, digest: str) -> FileChanged:
-    """The error with the digest of what is there now."""
-    changed = FileChanged(name, reason)
-    changed.digest = digest
-    return changed
+    def __init__(
+        self, key: str, expected: str, got: Any = None, remedy: str = "", *, digest: str = ""
+    ) -> None:
+        super().__init__(key, expected, got, remedy)
+        self.digest = digest
 
 
 class Workspace:
@@ -140,7 +138,7 @@ class Workspace:
                 reason = (
                     "has changed on the disk since it was opened" if known else "exists already"
                 )
-                raise file_changed(shown, reason, there)
+                raise FileChanged(shown, reason, digest=there)
             write_text(path, text)
         return shown, _digest(data)
 

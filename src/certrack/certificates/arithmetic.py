@@ -31,6 +31,11 @@ def rational(value: Any) -> Any:
     return flint.fmpq(exact.numerator, exact.denominator)
 
 
+def fraction(exact: Any) -> Fraction:
+    """The same number as a Fraction."""
+    return Fraction(int(exact.p), int(exact.q))
+
+
 def decimal(value: Any) -> Any:
     """Float of a number or formula."""
     return float(value.expr if isinstance(value, Expression) else value)

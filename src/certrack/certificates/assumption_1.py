@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 from scipy.optimize import minimize
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import fraction, rational
 from certrack.certificates.domain import always_defined, more_digits, undefined_at
 from certrack.certificates.majorants import Majorant, covers, majorants, root_above
 from certrack.certificates.sampling import Points, nearest_failure, random_points
@@ -125,8 +125,7 @@ def uncertain_terms(system: System) -> list[UncertainTerm]:
 
 
 def _fraction(value: object) -> Fraction:
-    exact = rational(value)
-    return Fraction(int(exact.p), int(exact.q))
+    return fraction(rational(value))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import flint
 import numpy as np
 
-from certrack.certificates.arithmetic import positive_definite
+from certrack.certificates.arithmetic import fraction, positive_definite
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.problem import ErrorProblem
@@ -250,7 +250,7 @@ def root_up(square: Any) -> str:
     An integer root rounds down, so one unit of the last digit is added; without it the printed
     bound would be below the proven one.
     """
-    exact = Fraction(int(square.p), int(square.q))
+    exact = fraction(square)
     if exact == 0:
         return "0"
     bits = exact.numerator.bit_length() - exact.denominator.bit_length()

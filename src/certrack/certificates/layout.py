@@ -89,6 +89,16 @@ def check_layout_as_run(body: dict[str, Any]) -> None:
         raise InputError(REGION_KEY, "is of a continuous law only")
 
 
+def has_entries(body: Any, key: str, *, after: int = 0) -> bool:
+    """Whether the proof of a body is a list of objects with this key, behind so many others."""
+    proof = body.get("proof") if isinstance(body, dict) else None
+    return (
+        isinstance(proof, list)
+        and len(proof) > after
+        and all(isinstance(entry, dict) and key in entry for entry in proof[after:])
+    )
+
+
 def digest_of(body: dict[str, Any]) -> str:
     """The digest that a body has as its ``sha256``."""
     content = {key: value for key, value in body.items() if key != "sha256"}

@@ -16,21 +16,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.arithmetic import exact_float, fraction, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text, root_up
 from certrack.certificates.formulation import error_coordinates, error_problem
-from certrack.certificates.premise import PROVEN, Premise, contradicted
+from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
+from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.region import StateBounds, in_region
 from certrack.certificates.start import starting_energy
 from certrack.certificates.tube import MAX_BOX_CORNERS, starts_of
 from certrack.core.errors import InputError
+from certrack.core.once import once
 from certrack.references.base import bound_of
 from certrack.systems.system import System
 
@@ -57,6 +58,43 @@ class KeptRegion:
     stage: Proof
 
 
+@dataclass(frozen=True)
+class _LevelSet:
+    """What of a stage does not depend on the start, exact."""
+
+    problem: ErrorProblem
+    P: np.ndarray
+    floor: Any
+    spread: np.ndarray
+    of_reference: np.ndarray
+
+
+@once
+def _level_set(system: System, region: KeptRegion) -> _LevelSet | None:
+    """The stage, with every condition of it checked; None where nothing follows from it."""
+    try:
+        problem = error_problem(system, rational)
+        coordinates = error_coordinates(system, rational)
+        Y = [
+            exact_float(bound_of(system.reference, j)[0], rational)
+            for j in range(coordinates.B.shape[1])
+        ]
+    except (NoCertificate, InputError):
+        return None
+    proof = region.stage
+    if all(failed_condition(problem, proof, target) for target in (0, problem.n - 1)):
+        return None
+    P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
+    inverse = solve(coordinates.A, np.eye(problem.n, dtype=object))
+    return _LevelSet(
+        problem=problem,
+        P=P,
+        floor=from_text(proof.bound) ** 2,
+        spread=np.einsum("ij,ji->i", inverse, solve(P, inverse.T)),
+        of_reference=abs(inverse @ coordinates.B) @ np.array(Y, dtype=object),
+    )
+
+
 def region_of_level(
     system: System, region: KeptRegion, box: Sequence[tuple[float, float]] | None = None
 ) -> StateBounds | None:
@@ -77,44 +115,22 @@ def region_of_level(
         leaves it out) or a bound of it is not known, where the reference or the states at t = 0
         have no rule of ball arithmetic, or where the level is 0: nothing is strictly inside then.
     """
-    if system.long_run is not system:
+    if system.long_run is not system or (level_set := _level_set(system, region)) is None:
         return None
-    try:
-        starts, known = starts_of(system, box)
-        problem = error_problem(system, rational)
-        coordinates = error_coordinates(system, rational)
-        Y = [
-            exact_float(bound_of(system.reference, j)[0], rational)
-            for j in range(coordinates.B.shape[1])
-        ]
-    except (NoCertificate, InputError):
+    starts, known = starts_of(system, box)
+    if not known:
         return None
-    proof = region.stage
-    ends = (0, problem.n - 1)
-    if not known or all(failed_condition(problem, proof, target) for target in ends):
-        return None
-    P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
-    energy = starting_energy(system, problem, P, starts)
-    level = max(from_text(proof.bound) ** 2, 2 * energy) * (1 + LEVEL_SLACK)
+    energy = starting_energy(system, level_set.problem, level_set.P, starts)
+    level = max(level_set.floor, 2 * energy) * (1 + LEVEL_SLACK)
     if not level > 0:
         return None
-    inverse = solve(coordinates.A, _identity(problem.n))
-    spread = np.einsum("ij,ji->i", inverse, solve(P, inverse.T))
-    of_reference = abs(inverse @ coordinates.B) @ np.array(Y, dtype=object)
     return tuple(
-        _as_fraction(from_text(root_up(level * share)) + offset)
-        for share, offset in zip(spread, of_reference, strict=True)
+        fraction(from_text(root_up(level * share)) + offset)
+        for share, offset in zip(level_set.spread, level_set.of_reference, strict=True)
     )
 
 
-def _identity(n: int) -> np.ndarray:
-    return np.array([[rational(int(i == j)) for j in range(n)] for i in range(n)], dtype=object)
-
-
-def _as_fraction(value: Any) -> Fraction:
-    return Fraction(int(value.p), int(value.q))
-
-
+@once
 def premises_from_x0(system: System, region: KeptRegion | None) -> tuple[Premise, ...]:
     """What a certificate of the continuous loop rests on, in a region where that is kept.
 
@@ -147,6 +163,7 @@ def kept_region(system: System, stages: Sequence[Proof]) -> KeptRegion | None:
     return max(held, key=lambda region: largest_box(system, region), default=None)
 
 
+@once
 def largest_box(system: System, region: KeptRegion) -> float:
     """The largest r found for which the same is proven from every |x_i - x0_i| <= r.
 
@@ -163,12 +180,7 @@ def largest_box(system: System, region: KeptRegion) -> float:
             for v in system.settings.x0
         ]
         bounds = region_of_level(system, region, box)
-        held = in_region(system, everywhere, bounds, formulas=True)
-        return all(
-            premise.status == PROVEN
-            for premise, before in zip(held, everywhere, strict=True)
-            if before.contradicted
-        )
+        return not contradicted(in_region(system, everywhere, bounds, formulas=True, sampled=False))
 
     if not holds(0.0):
         return 0.0

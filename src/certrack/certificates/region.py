@@ -37,6 +37,7 @@ def in_region(
     region: StateBounds | None,
     *,
     formulas: bool = False,
+    sampled: bool = True,
 ) -> tuple[Premise, ...]:
     """The premises, those that are broken far away only replaced by what holds in the region.
 
@@ -48,6 +49,8 @@ def in_region(
         What the states keep from x0; None if that is not known.
     formulas : bool
         Whether drift and regressor, too, need to be defined in the region only.
+    sampled : bool
+        Whether a bound of w that is not proven in the region may be checked on samples there.
     """
     if region is None:
         return tuple(premises)
@@ -57,7 +60,7 @@ def in_region(
         held = None
         broken = premise.contradicted and not _witness_in_region(premise, region)
         if broken and premise.name in terms:
-            held = _term_in_region(system, terms[premise.name], region)
+            held = _term_in_region(system, terms[premise.name], region, sampled)
         if broken and premise.name == DOMAIN and formulas:
             held = _domain_in_region(system, region)
         return held or premise
@@ -90,9 +93,13 @@ def _witness_in_region(premise: Premise, region: StateBounds) -> bool:
     return all(abs(Fraction(v)) <= size for v, size in zip(x, region, strict=True))
 
 
-def _term_in_region(system: System, term: UncertainTerm, region: StateBounds) -> Premise | None:
-    """That a term keeps its bound in the region; None if it does not."""
+def _term_in_region(
+    system: System, term: UncertainTerm, region: StateBounds, sampled: bool
+) -> Premise | None:
+    """That a term keeps its bound in the region; None if it does not, or nobody knows."""
     proven, how = term.proven_within(region), ""
+    if not proven and not sampled:
+        return None
     if not proven:
         points = random_points(system.plant.n, system.settings.duration, SEED)
         if term.violation(points, within=partial(_within, region=region)) is not None:

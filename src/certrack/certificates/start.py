@@ -110,6 +110,13 @@ def _unproven(value: float) -> Any:
     return flint.arb(value, abs(value) * UNPROVEN_RADIUS)
 
 
+def errors_at_start(system: System, starts: Sequence[Start]) -> list[list[Any]]:
+    """Balls of e = A x - B Y of each start, at the precision that is set."""
+    exact = error_coordinates(system, rational)
+    rows = list(zip(_balls(exact.A), _balls(exact.B), strict=True))
+    return [[_dot(a, x) - _dot(b, Y) for a, b in rows] for x, Y in starts]
+
+
 def starting_energy(
     system: System, problem: ErrorProblem, P: np.ndarray, starts: Sequence[Start]
 ) -> Any:
@@ -124,12 +131,10 @@ def starting_energy(
     starts : pairs (x, Y) of lists of balls
         States, and y_d ... y_d^(q) at t = 0.
     """
-    exact, m = error_coordinates(system, rational), problem.n
     with ball_precision():
-        A, B, weights = (_balls(rows) for rows in (exact.A[:m], exact.B[:m], P))
-        energies = []
-        for x, Y in starts:
-            e = [_dot(A[i], x) - _dot(B[i], Y) for i in range(m)]
+        weights, energies = _balls(P), []
+        for errors in errors_at_start(system, starts):
+            e = errors[: problem.n]
             energies.append(upper_rational(_dot(e, [_dot(row, e) for row in weights]) / 2))
     total = max(energies)
     if problem.adaptation is not None:

@@ -36,6 +36,7 @@ from certrack.certificates.layout import (
     check_layout_as_run,
     check_new_layout,
     digest_of,
+    has_entries,
     read_document,
 )
 from certrack.certificates.level_set import KeptRegion, premises_from_x0
@@ -196,19 +197,9 @@ def _left_open(system: System) -> str:
     )
 
 
-def _has_entries(body: dict[str, Any], key: str) -> bool:
-    """Whether the proof of a body is a list of objects with this key."""
-    proof = body.get("proof") if isinstance(body, dict) else None
-    return (
-        isinstance(proof, list)
-        and bool(proof)
-        and all(isinstance(entry, dict) and key in entry for entry in proof)
-    )
-
-
 def _is_online(body: dict[str, Any]) -> bool:
     """Whether a body claims a bound for gains that move."""
-    return _has_entries(body, "ends")
+    return has_entries(body, "ends")
 
 
 def _verify_online(body: dict[str, Any]) -> Verdict:
@@ -223,7 +214,7 @@ def _verify_online(body: dict[str, Any]) -> Verdict:
 
 def _is_cover(body: dict[str, Any]) -> bool:
     """Whether a body claims a bound by cells of the ranges of constants."""
-    return _has_entries(body, "cell")
+    return has_entries(body, "cell")
 
 
 def _verify_cover(body: dict[str, Any]) -> Verdict:

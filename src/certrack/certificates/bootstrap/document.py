@@ -12,6 +12,7 @@ from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof
 from certrack.certificates.bootstrap.proof import FunctionProof, RowBound
 from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.exact import from_text
+from certrack.certificates.layout import has_entries
 from certrack.core.errors import InputError
 
 #: Stages, functions of a stage, claims of a function that a file may have.
@@ -23,12 +24,7 @@ MAX_VECTOR_LENGTH = 2000
 
 def is_bootstrap(body: Any) -> bool:
     """Whether a body claims a bound by a bootstrap."""
-    proof = body.get("proof") if isinstance(body, dict) else None
-    return (
-        isinstance(proof, list)
-        and len(proof) > 1
-        and all(isinstance(entry, dict) and "region" in entry for entry in proof[1:])
-    )
+    return has_entries(body, "region", after=1)
 
 
 def bootstrap_stages(entries: list[Any]) -> tuple[BootstrapStage, ...]:

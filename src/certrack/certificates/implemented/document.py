@@ -10,6 +10,7 @@ from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.slow import StepFunction
 from certrack.certificates.implemented.start_proof import StartProof
+from certrack.certificates.layout import has_entries
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
 
@@ -34,12 +35,7 @@ MAX_START_PROOFS = 2
 
 def is_implemented(body: Any) -> bool:
     """Whether a body claims a bound of the implemented loop."""
-    proof = body.get("proof") if isinstance(body, dict) else None
-    return (
-        isinstance(proof, list)
-        and bool(proof)
-        and all(isinstance(entry, dict) and "doublings" in entry for entry in proof)
-    )
+    return has_entries(body, "doublings")
 
 
 def record_of(stage: Any) -> dict[str, Any]:

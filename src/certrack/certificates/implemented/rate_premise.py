@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import sympy
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import fraction, rational
 from certrack.certificates.assumption_1 import UncertainTerm, uncertain_terms
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN, Premise
@@ -103,7 +103,7 @@ class _Rate:
                 term,
                 formula=_derivative(term.formula, symbol),
                 gamma=zero,
-                beta=Fraction(int(exact.p), int(exact.q)),
+                beta=fraction(exact),
                 single=(),
                 growing=None,
             )

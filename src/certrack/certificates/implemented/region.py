@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from fractions import Fraction
 
+from certrack.certificates.arithmetic import fraction
 from certrack.certificates.exact import from_text
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.start_proof import X0
@@ -20,8 +20,7 @@ def region_of_runs(proofs: Sequence[ImplementedProof]) -> StateBounds | None:
     peaks = [start.peaks[1:-2] for proof in proofs for start in proof.starts if start.of == X0]
     if not proofs or len(peaks) != len(proofs):
         return None
-    exact = (max(map(from_text, column)) for column in zip(*peaks, strict=True))
-    return tuple(Fraction(int(value.p), int(value.q)) for value in exact)
+    return tuple(fraction(max(map(from_text, column))) for column in zip(*peaks, strict=True))
 
 
 def without_polytopes(proofs: Sequence[ImplementedProof]) -> tuple[ImplementedProof, ...]:

@@ -13,10 +13,9 @@ from certrack.certificates.balls import ball_precision
 from certrack.certificates.bootstrap.certify import first_proof
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import Proof, float_up, from_text
-from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveLoop, SampledAdaptiveProof
 from certrack.certificates.sampled_adaptive.search import prove_sampled_adaptive
-from certrack.certificates.start import reference_at_start, states_at_start
+from certrack.certificates.start import errors_at_start, reference_at_start, states_at_start
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
@@ -106,21 +105,20 @@ def certify_sampled_adaptive(
 
 def starts_inside(system: System, proof: SampledAdaptiveProof) -> bool:
     """Whether the file's own start is proven to be one of those that a proof states."""
-    invariant, exact = proof.invariant, error_coordinates(system, rational)
+    invariant = proof.invariant
     pairs = zip(system.estimates, invariant.priors, strict=True)
     if any(not from_text(low) <= rational(z) <= from_text(high) for z, (low, high) in pairs):
         return False
     with ball_precision():
         x, known = states_at_start(system)
-        Y, proven = reference_at_start(system, exact.q)
+        Y, proven = reference_at_start(system, system.controller.coordinates.q)
         if not (known and proven):
             return False
-        for row, other, most in zip(exact.A, exact.B, invariant.starts, strict=True):
-            e = sum((flint.arb(a) * v for a, v in zip(row, x, strict=True)), flint.arb(0))
-            e -= sum((flint.arb(b) * y for b, y in zip(other, Y, strict=True)), flint.arb(0))
-            if not bool(abs(e) <= flint.arb(from_text(most))):
-                return False
-    return True
+        (errors,) = errors_at_start(system, [(x, Y)])
+        return all(
+            bool(abs(e) <= flint.arb(from_text(most)))
+            for e, most in zip(errors, invariant.starts, strict=True)
+        )
 
 
 def words_of_starts(proof: SampledAdaptiveProof) -> str:

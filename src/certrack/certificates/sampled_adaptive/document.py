@@ -16,6 +16,7 @@ from certrack.certificates.bootstrap.document import (
     require_fields,
 )
 from certrack.certificates.bootstrap.proof import FunctionProof
+from certrack.certificates.layout import has_entries
 from certrack.certificates.sampled_adaptive.proof import (
     InvariantSet,
     SampledAdaptiveProof,
@@ -26,12 +27,7 @@ from certrack.core.errors import InputError
 
 def is_sampled_adaptive(body: Any) -> bool:
     """Whether a body claims a bound of the adaptive law as implemented."""
-    proof = body.get("proof") if isinstance(body, dict) else None
-    return (
-        isinstance(proof, list)
-        and bool(proof)
-        and all(isinstance(entry, dict) and "invariant" in entry for entry in proof)
-    )
+    return has_entries(body, "invariant")
 
 
 def sampled_adaptive_record(entries: list[Any]) -> SampledAdaptiveProof:
