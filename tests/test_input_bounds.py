@@ -250,10 +250,9 @@ def test_a_malformed_box_is_refused(box):
         certify_input(lean(), box)
 
 
-def test_what_is_missing_is_told():
-    n = 7
-    system = certrack.loads(f"""
-title = "seven integrators"
+def integrators(n, starts=""):
+    """A chain of n integrators whose last is disturbed."""
+    return certrack.loads(f"""
 [plant]
 states = {str([f"x{i + 1}" for i in range(n)]).replace("'", '"')}
 chain = {[1] * (n - 1)}
@@ -275,9 +274,13 @@ feedforward = {n - 1}
 [simulation]
 x0 = {[0.1] * n}
 duration = 10
-[ensemble]
-x0 = [{", ".join(["{ uniform = [-1, 1] }"] * n)}]
+{starts}
 """)
+
+
+def test_what_is_missing_is_told():
+    starts = ", ".join(["{ uniform = [-1, 1] }"] * 7)
+    system = integrators(7, f"[ensemble]\nx0 = [{starts}]")
     bounds = bounds_of_input(system)
     lines = input_lines(system, bounds)
     assert "64 corners" in lines[-1]

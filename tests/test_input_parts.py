@@ -6,7 +6,7 @@ from fractions import Fraction
 import flint
 import numpy as np
 import pytest
-from test_input_bounds import lean
+from test_input_bounds import integrators, lean
 
 import certrack
 from certrack.certificates import certify_input
@@ -337,30 +337,7 @@ def test_the_best_rate_of_those_tried_counts(monkeypatch):
 @pytest.mark.parametrize("n", [6, 7])
 def test_as_many_starts_as_a_program_takes(n):
     """64 corners of six states are distinguished, 128 of seven are not."""
-    states = ", ".join(f'"x{i + 1}"' for i in range(n))
-    system = certrack.loads(f"""
-[plant]
-states = [{states}]
-chain = {[1] * (n - 1)}
-drift = "0"
-gain_sign = 1
-input_gain = 1
-[truth]
-input_gain = 1
-[plant.uncertainty]
-tau = {[0] * (n - 1) + [1]}
-gamma = {[0] * n}
-beta = {[0] * (n - 1) + [0.1]}
-[reference]
-signal = "0.1*sin(t)"
-[law]
-kind = "robust"
-c = {[2] * n}
-feedforward = {n - 1}
-[simulation]
-x0 = {[0.1] * n}
-duration = 10
-""")
+    system = integrators(n)
     starts, _ = starts_of(system, [(-1.0, 1.0)] * n)
     if n == 6:
         assert len(room._errors(system, starts)) == 64
