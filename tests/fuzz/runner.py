@@ -32,6 +32,9 @@ MAX_SECONDS, MAX_MEGABYTES = 2.0, 1000
 #: An input is broken off after so many times the limit.
 PATIENCE = 5
 
+#: Where the coverage of lines is measured everything takes about so many times as long.
+UNDER_TRACE = 3
+
 
 #: What happened to a system that was simulated, which may take any time.
 UNTIMED = "loaded, simulated"
@@ -106,8 +109,9 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
 def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
     """The word for what happened to one input, and the processor time that the product took, s."""
     begin, spent = time.process_time(), None
+    limit = MAX_SECONDS * (UNDER_TRACE if sys.gettrace() else 1)
     try:
-        with alarm(PATIENCE * MAX_SECONDS):
+        with alarm(PATIENCE * limit):
             word = fuzzer.examine(data)
             spent = time.process_time() - begin
             if not isinstance(word, str):
@@ -122,7 +126,7 @@ def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
         spent = time.process_time() - begin
     if word == UNTIMED:
         return word, 0.0
-    if spent > MAX_SECONDS and word != SEARCHED and not word.startswith("FINDING"):
+    if spent > limit and word != SEARCHED and not word.startswith("FINDING"):
         word = f"FINDING: slow, {word}"
     return word, spent
 

@@ -50,8 +50,10 @@ class NumpyFunction:
     def __call__(self, *values: Any) -> list[Any]:
         function = self._function
         if function is None:  # two threads may both write it: the same code
-            arguments, formulas = renamed(self._arguments, map(by_selections, self._formulas))
-            printer = NumPyPrinter(PRINTER_SETTINGS)  # takes from NumPy what it prints, not all
+            names = safe_names(self._arguments)
+            printer = RenamingPrinter(names)  # takes from NumPy what it prints, not all
+            arguments = [in_shape(argument, names) for argument in self._arguments]
+            formulas = list(map(by_selections, self._formulas))
             known = {"Select": numpy_select}
             function = sympy.lambdify(arguments, formulas, known, printer, cse=True)
             self._function = function
@@ -61,22 +63,47 @@ class NumpyFunction:
         return NumpyFunction, (self._arguments, self._formulas)
 
 
+class RenamingPrinter(NumPyPrinter):
+    """NumPy code in which symbols have other names.
+
+    To put other symbols into the formulas instead would have SymPy compare the arguments of every
+    max and min anew, which takes seconds where they are long.
+    """
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__(PRINTER_SETTINGS)
+        self._names = names
+
+    def _print_Symbol(self, symbol: sympy.Symbol) -> str:
+        return self._names.get(symbol) or super()._print_Symbol(symbol)
+
+
+def safe_names(arguments: Sequence[Any]) -> dict[sympy.Symbol, str]:
+    """Names of ours for the arguments of generated code, in the same order.
+
+    A name of a user's may be that of a function (``arctan``) or of a common part (``x0``) there.
+    """
+    symbols = sorted(sympy.flatten(arguments), key=str)
+    return {symbol: f"argument_{i:05}" for i, symbol in enumerate(symbols)}
+
+
+def in_shape(argument: Any, names: Mapping[sympy.Symbol, Any]) -> Any:
+    """What each symbol of a (nested) argument stands for, nested likewise."""
+    if isinstance(argument, sympy.Symbol):
+        return names[argument]
+    return [in_shape(entry, names) for entry in argument]
+
+
 def renamed(
     arguments: Sequence[Any], formulas: Iterable[sympy.Expr]
 ) -> tuple[list[Any], list[sympy.Expr]]:
-    """Arguments and formulas with names of ours, in the same order.
-
-    A name of a user's may be that of a function (``arctan``) or of a common part (``x0``) in the
-    generated code.
-    """
-    names = sorted(sympy.flatten(arguments), key=str)
-    ours = {name: sympy.Symbol(f"argument_{i:05}", real=True) for i, name in enumerate(names)}
-
-    def renamed(argument: Any) -> Any:
-        is_symbol = isinstance(argument, sympy.Symbol)
-        return ours[argument] if is_symbol else [renamed(entry) for entry in argument]
-
-    return list(map(renamed, arguments)), [formula.xreplace(ours) for formula in formulas]
+    """Arguments and formulas with those names."""
+    names = safe_names(arguments).items()
+    ours = {symbol: sympy.Symbol(name, real=True) for symbol, name in names}
+    return (
+        [in_shape(argument, ours) for argument in arguments],
+        [formula.xreplace(ours) for formula in formulas],
+    )
 
 
 def numpy_callable(arguments: Sequence[Any], formulas: Sequence[sympy.Expr]) -> NumpyFunction:
