@@ -158,7 +158,9 @@ def vector_of(system, hand, region, z, Y, w_parts):
     return np.array([*zeta, 1.0, *(a / numbers.reach), *b, *y, rho, *ranged, *scale, *psi]), zeta
 
 
-@pytest.mark.parametrize("gain", [-1.6, -1.47, -1.4])
+@pytest.mark.parametrize(
+    "gain", [-1.47, *(pytest.param(gain, marks=pytest.mark.slow) for gain in (-1.6, -1.4))]
+)
 def test_equations_are_those_of_the_plant_and_the_law(gain):
     """zeta' = F w and the relation of ubar, at random states, against the law's own formulas."""
     rng = np.random.default_rng(3)

@@ -92,7 +92,7 @@ def test_lean_bounds_are_no_looser_than_the_table(case):
 
 
 def test_tight_bound_is_between_simulation_and_rate(shipped):
-    found = certify(shipped)
+    found = certify(shipped, "fast")
     if not found.best.exists:
         assert "without leakage" in found.semidefinite.reason
         return
@@ -580,6 +580,7 @@ def test_tenth_order_plant_is_certified():
     assert found.verified
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "leak"), [(0.01, 100.0), (0.001, 1000.0), (0.01, 1000.0)])
 def test_critical_strength_is_at_least_the_certified_one(rate, leak):
     """Gains of very different size, whose program the solver gives up at other scales."""

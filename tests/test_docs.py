@@ -33,18 +33,9 @@ ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Their commands or programs take long.
 LONG = {
-    *(
-        "README",
-        "certificates",
-        "comparison-of-laws",
-        "deployment",
-        "dossier",
-        "ensembles",
-        "friction",
-        "mismatch",
-        "new-law",
-    ),
-    *("ranges", "observers", "python", "sampled", "tuning", "tutorial"),
+    *("README", "bridges", "certificates", "comparison-of-laws", "deployment", "dossier", "energy"),
+    *("ensembles", "friction", "mismatch", "new-law", "observers", "optimal", "python", "ranges"),
+    *("reproduction", "sampled", "systems-in-code", "tuning", "tutorial"),
 }
 PARAMETERS = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in LONG))

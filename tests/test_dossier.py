@@ -122,6 +122,7 @@ def test_a_long_certificate_is_named_by_its_digest(found, monkeypatch):
     assert "too long to be carried" in to_html(dossier_of(found))
 
 
+@pytest.mark.slow
 def test_two_are_the_same_bytes(found, page):
     again = evidence_of(found.system, "drive.toml", effort="fast", without=OPTIONAL)
     assert to_html(dossier_of(again)) == page

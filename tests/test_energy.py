@@ -170,6 +170,7 @@ def test_the_balance_closes_per_cycle_and_over_the_run(found):
 SIMULATOR = {}
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(
     share=st.floats(0, 1),
@@ -419,6 +420,7 @@ def test_many_cycles_are_the_first_and_the_last():
     assert energy_table(found).columns[2:] == ("0 to 0.5 s", "2 to 2.5 s", "2.5 to 3 s")
 
 
+@pytest.mark.slow
 def test_the_command(capfd, tmp_path):
     out, folder = tmp_path / "powers.csv", tmp_path / "pictures"
     code, told, _ = invoke(

@@ -575,6 +575,7 @@ def test_mutated_proofs_are_refused(mutant):
     assert not verify(to_document(system, MUTANTS[mutant](proof))).verified
 
 
+@pytest.mark.slow
 def test_certificate_file():
     system = on_a_drive("dual-motor-lean", 0.01, ("x2", "x4"))
     result = certify(system)
@@ -604,6 +605,7 @@ def command(capsys, *arguments):
     return stopped.value.code or 0, capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path, capsys):
     file, out = tmp_path / "drive.toml", tmp_path / "cert.json"
     certrack.save(on_a_drive("dual-motor-lean", 0.01, ("x2", "x4")), file)

@@ -278,6 +278,7 @@ measurement_quantum = [1.0e-5, 0, 2.0e-5, 0]
 """
 
 
+@pytest.mark.slow
 def test_a_refusal_blames_the_ranges_where_they_are_the_cause(monkeypatch):
     """And what it offers helps: cells have a bound, and so have the narrower ranges in one cell."""
     found, _ = certify_implemented(two_masses(), effort="fast")
@@ -374,6 +375,7 @@ def test_another_checker_agrees_on_random_loops():
 # Sampling margins ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sampling_margins_are_proven():
     """The slowest and the fastest period serve; a little slower does not."""
     system = on_a_drive("dual-motor-lean", 0.01, ("x2", "x4"))

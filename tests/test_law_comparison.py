@@ -131,6 +131,7 @@ def test_a_law_that_escapes_is_lost():
     assert score(trials, lean.law, NO_LIMITS, 1.0).value == LOST_SCORE
 
 
+@pytest.mark.slow
 def test_a_search_is_never_worse_than_its_start_and_repeats(short):
     entrant, family = entrant_of(short, "lqr")
     limits, resting = SharedLimits(16.0, 300.0, 0.006), resting_error(short)

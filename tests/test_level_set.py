@@ -58,6 +58,7 @@ def found(system):
 # Claims -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_breaks_far_away_is_certified_from_x0(system, found):
     assert found.verified and found.best.kind == "bootstrap"
     assert found.best.bound == certify(example("0")).best.bound  # the proof is the same

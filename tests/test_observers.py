@@ -311,6 +311,7 @@ def test_a_proof_and_its_mutants():
     assert failed_implemented(late, proof, delay)
 
 
+@pytest.mark.slow
 def test_another_reader_of_the_page_agrees():
     """With the files of a certificate; and not with an observer that is another."""
     _, proofs = certify_implemented(ESO)

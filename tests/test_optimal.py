@@ -126,6 +126,7 @@ def test_no_law_is_better_than_the_optimum(name):
             assert getattr(entry.cost, quantity) <= limit * (1 + 1e-3)
 
 
+@pytest.mark.slow
 def test_the_dual_motor_as_in_the_study():
     """Figures of an independent study: 240 Runge-Kutta intervals by multiple shooting over 6 s."""
     converged = optimal(certrack.load("dual-motor-lean"), horizon=6)
@@ -346,6 +347,7 @@ def test_a_search_can_be_cancelled():
 # the command
 
 
+@pytest.mark.slow
 def test_the_command_prints_draws_and_reports(tmp_path):
     command = ["optimal", "example1", "--horizon", "2"]
     result = CliRunner().invoke(cli, [*command, "--plot", str(tmp_path)])

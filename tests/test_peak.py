@@ -47,7 +47,7 @@ def loop(c, *, beta, gamma=None, q=None, signal="0.1*sin(t)", truth=None):
         ("dual-motor-lean", 0.00129),
         ("dual-motor", 0.0269),
         ("dual-motor-strong", 0.02744),
-        ("dual-motor-drive", 0.00129),
+        pytest.param("dual-motor-drive", 0.00129, marks=pytest.mark.slow),
     ],
 )
 def test_shipped_loops_are_certified_tighter_and_verified(name, limit):

@@ -126,6 +126,7 @@ def test_estimates_of_other_magnitudes_have_their_own_axes(count, tmp_path):
     assert len(together.axes) == 1
 
 
+@pytest.mark.slow
 def test_runaways_leave_the_fan_chart_and_histograms_readable(tmp_path):
     system = certrack.load("dual-motor-lean").with_settings(duration=1.0, tail=0.5)
     calm = certrack.ensemble(system, 50)

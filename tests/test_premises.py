@@ -70,6 +70,7 @@ def test_shipped_systems_keep_every_premise_and_most_are_proven():
     assert {p.status for p in premises(LEAN)} == {"proven"}
 
 
+@pytest.mark.slow
 def test_a_sampled_file_assumes_the_continuous_law_and_says_so(capfd, tmp_path):
     """Where no certificate is of the sampled loop: here the law is adaptive."""
     file = str(tmp_path / "sampled.toml")

@@ -189,6 +189,7 @@ def test_samples_interpolate_with_scipy_inside():
     assert held.tolist() == [[0, 0.2], [0, 0]]
 
 
+@pytest.mark.slow
 def test_bounds_of_many_samples_are_fast_and_right():
     t = np.linspace(0, 300 * np.pi, 100_000)  # zero slope at both ends, as the interpolant has
     reference = samples(t, np.cos(t))

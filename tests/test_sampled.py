@@ -558,6 +558,7 @@ def high_gains():
     return system.replace(law=replace(system.law, **gains))
 
 
+@pytest.mark.slow
 def test_margins_of_a_loop_that_adaptation_makes_faster_than_its_poles():
     """At the period to begin with none finishes; docs/certificates.md sends such loops here."""
     system = high_gains()
@@ -571,10 +572,12 @@ def test_margins_of_a_loop_that_adaptation_makes_faster_than_its_poles():
     assert 0 < found.delay.within < found.period.within and not found.saturation.unlimited
 
 
+@pytest.mark.slow
 def test_margins_of_members_that_finish_in_continuous_time_are_found():
     assert certrack.margins(certrack.load("example1-classic"), members=64).period.within > 0.002
 
 
+@pytest.mark.slow
 def test_margins_refuse_a_loop_that_never_finishes():
     """The law knows a wrong theta of x1^3: the loop escapes in finite time, however sampled."""
     text = STARTER

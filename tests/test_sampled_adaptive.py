@@ -53,6 +53,7 @@ def times(text, factor):
     return repr(float(text) * factor)
 
 
+@pytest.mark.slow
 def test_example1_at_one_millisecond_is_within_a_tenth_of_the_continuous_law():
     certificate, proof = found()
     assert certificate.verified and certificate.bound <= 1.1 * CONTINUOUS
@@ -196,6 +197,7 @@ def test_a_proof_is_of_its_own_loop(old, new):
     assert refusal(lambda proof: None, other)
 
 
+@pytest.mark.slow
 def test_limits_are_proven_never_to_act_or_there_is_no_certificate():
     certificate, _ = certify_sampled_adaptive(example(saturation=(-0.5, 0.5)))
     assert not certificate.exists and "saturation may act" in certificate.reason
@@ -264,6 +266,7 @@ def test_a_robust_law_is_not_for_this():
     assert "adaptive law" in certificate.reason
 
 
+@pytest.mark.slow
 def test_a_file_that_starts_inside_ships_with_it():
     inside = example()
     settings = inside.settings

@@ -65,7 +65,7 @@ def test_the_certificate_does_not_know_the_rule(kind):
 
 
 @pytest.mark.parametrize("rate", [None, 2.0])
-@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("kind", ["extremum", pytest.param("spsa", marks=pytest.mark.slow)])
 def test_the_level_stays_within_its_ends_whatever_the_rule_remembers(kind, rate):
     system = moving(2.0, rate=rate, **RULES[kind])
     names = list(system.controller.states)
@@ -107,6 +107,7 @@ def test_a_period_that_its_own_states_cannot_follow_is_refused():
         moving(**(RULES["extremum"] | {"frequency": 20.0}))
 
 
+@pytest.mark.slow
 def test_a_file_can_state_it_and_the_adversary_replaces_it():
     system = moving(4.0, **RULES["spsa"])
     assert certrack.loads(certrack.to_text(system)) == system

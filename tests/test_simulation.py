@@ -158,6 +158,7 @@ def test_other_structure_is_refused():
         simulator.run(certrack.load("dual-motor"))
 
 
+@pytest.mark.slow
 def test_stiff_design_switches_to_the_implicit_method_and_says_so():
     plant = Plant(states=["x1", "x2", "x3"], chain=[1, 1], input_gain=1)
     system = System(

@@ -349,6 +349,7 @@ def test_three_that_interact_are_refused_when_they_all_stick():
     assert run.trajectory.modes.stuck(np.array([8.9])).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_random_systems_are_the_limit_of_smooth_ones(seed):
     """One to two masses on springs with random friction, Stribeck's dip, moving belts, |x|."""

@@ -435,6 +435,7 @@ VALUES = st.recursive(
 LINES = [i for i, line in enumerate(GOOD.splitlines()) if "=" in line.split("#")[0]]
 
 
+@pytest.mark.slow
 @settings(max_examples=600)
 @given(st.sampled_from(LINES), VALUES)
 def test_fuzzed_values_raise_nothing_but_our_error(line, value):

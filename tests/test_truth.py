@@ -32,6 +32,10 @@ from certrack.studies.ensembles.statistics import LEVELS
 from certrack.systems.shipped import starter
 
 METHODS = ["alone", "lockstep"] + ["native"] * (vector_compiler() is not None)
+#: NumPy takes twenty times as long as C.
+TIMED = [
+    pytest.param(method, marks=[pytest.mark.slow] * (method == "lockstep")) for method in METHODS
+]
 PHYSICAL = certrack.load("dual-motor-physical")
 MISMATCH = {"split": 0.6, "effectiveness_2": 0.7, "backlash": 0.01}
 
@@ -376,7 +380,7 @@ def test_a_saved_file_reads_like_the_loaded_one(tmp_path):
     assert certrack.load(path) == physical(**MISMATCH)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", TIMED)
 def test_an_ensemble_is_its_members(method):
     """Metrics and bands against single runs; outputs that are no states, constants that vary."""
     count = 12
@@ -402,7 +406,7 @@ def test_an_ensemble_is_its_members(method):
     assert "states of its own" in found.limit_origin
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", TIMED)
 def test_every_member_is_replayed(method):
     engine = Engine(make_plan(PHYSICAL, 7, 1e-8, None, method))
     found, outcomes = engine.metrics_and_outcomes(3, 9, engine.plan.empty().bands)
@@ -464,6 +468,7 @@ def test_an_adaptive_certificate_needs_ranges():
     assert known.best.verified
 
 
+@pytest.mark.slow
 def test_the_command_line(capfd, tmp_path):
     path, out = tmp_path / "servo.toml", tmp_path / "run.nc"
     certrack.save(physical(**MISMATCH), path)

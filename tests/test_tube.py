@@ -85,6 +85,7 @@ def largest_ratio(runs, make):
     return max(float(np.max(np.abs(run.e[0]) / make(system)(run.t))) for system, run in runs)
 
 
+@pytest.mark.slow
 def test_no_run_leaves_the_tube(runs, stages):
     assert largest_ratio(runs, lambda system: tube_of(system, stages)) <= 1
 

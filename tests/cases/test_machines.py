@@ -77,6 +77,7 @@ class TestLeak:
         assert longest_euler_period(certrack.load("example1-classic").controller) == np.inf
         assert longest_euler_period(certrack.load("dual-motor").controller) == np.inf
 
+    @pytest.mark.slow
     def test_margins_begin_where_the_leak_decays(self):
         system = certrack.loads(case("leak", "[implementation]\nperiod = 0.01"))
         assert certrack.margins(system, members=8).period.within < 0.002

@@ -109,6 +109,7 @@ REMEDIED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REMEDIED)
 def test_the_remedy_works(name, tmp_path):
     old, new = REMEDIED[name]
@@ -144,6 +145,7 @@ def test_runs_say_once_that_no_certificate_covers_them(capfd, verb):
     assert "widen beta[1] to 0.5" in err
 
 
+@pytest.mark.slow
 def test_an_ensemble_says_what_its_members_are(capfd):
     _, out, err = invoke(capfd, "ensemble", str(path("viol.toml")), "-n", "8")
     assert "random admissible ones (multisine) in the place of truth.omega" in out
