@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import socket
 import sys
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import certrack
-from certrack.app.launch import first_design, folder_of, serve_designer
+from certrack.app.launch import _listening, first_design, folder_of, serve_designer
 from certrack.app.messages import MAX_TEXT_BYTES, parse_message
 from certrack.app.security import Access
 from certrack.app.server import AppServer, static_files
@@ -229,3 +230,21 @@ def test_a_text_that_no_file_can_hold_is_refused():
     message = json.dumps({"type": "save", "name": "a.toml", "text": "a\ud800"})
     with pytest.raises(InputError, match="lone surrogates"):
         parse_message(message)
+
+
+def test_a_frame_does_not_wait_until_the_page_has_acknowledged_another():
+    async def delay_of_a_connection():
+        options = asyncio.get_running_loop().create_future()
+
+        def connected(_, writer):
+            accepted = writer.get_extra_info("socket")
+            options.set_result(accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        with _listening("127.0.0.1", 0) as listener:
+            async with await asyncio.start_server(connected, sock=listener):
+                _, writer = await asyncio.open_connection(*listener.getsockname())
+                writer.close()
+                return await options
+
+    assert asyncio.run(delay_of_a_connection())

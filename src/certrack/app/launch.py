@@ -141,7 +141,9 @@ def _message_limit() -> int:
 @contextlib.contextmanager
 def _listening(host: str, port: int) -> Iterator[socket.socket]:
     """A socket that listens, on this machine unless told otherwise."""
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # Without the protocol asyncio would leave Nagle's algorithm on: a frame that follows another
+    # would wait for the page to acknowledge that one, up to 40 ms.
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     if sys.platform != "win32":
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
