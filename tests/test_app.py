@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 
 import numpy as np
 import pytest
@@ -119,6 +120,23 @@ def text_message(revision, text="t"):
 def moved(design, **changes):
     values = SET | {"design": design} | changes
     return parse_message(json.dumps(values))
+
+
+def test_where_the_gesture_ends_the_proof_begins_and_is_made_once():
+    session = opened_session(drive=True)
+    now = time.monotonic()
+    session.moved(moved(2))
+    assert session.next_job("exact", now) is None
+    session.moved(moved(2, resting=True))
+    now = time.monotonic()
+    assert session.next_job("exact", now)["design"] == 2
+    waiting = [session.next_job("bound", now) for _ in range(2)]
+    assert [job["do"] for job in waiting] == ["text", "run"] and waiting[1]["sampled"]
+    session.moved(moved(2, resting=True))
+    assert session.next_job("exact", math.inf) is None
+    session.moved(moved(2, view=1))
+    assert session.next_job("exact", math.inf) is None
+    assert [session.next_job("bound", math.inf)["do"] for _ in range(2)] == ["text", "run"]
 
 
 def test_the_newest_move_wins_and_the_bound_is_of_what_is_answered():

@@ -96,18 +96,23 @@ class Session:
             counters["revision"] = move.revision
             self.send(pack_frame(FrameKind.PROBLEM, header, **counters))
             return
-        changed = move.design != self.design
-        self.move, self.design = move, move.design
+        before, self.move = self.move, move
+        changed, self.design = before is None or move.design != self.design, move.design
+        seen = before is not None and (before.view, before.window) == (move.view, move.window)
         self._post("run", sampled=False)
-        if changed or move.resting:
-            self._mail.pop("sampled", None)
+        if changed:
             self._post("exact", effort="fast", after=PAUSE)
-            if self.base.drive:
-                self._post("sampled", do="run", sampled=True, after=PAUSE)
-        elif self.base.drive:
+        if self.base.drive and (changed or not seen):
             self._post("sampled", do="run", sampled=True, after=PAUSE)
         if move.resting:
             self._post("text")
+            self._end_pause()
+
+    def _end_pause(self) -> None:
+        """The gesture is over: what waits for a pause begins; a refined proof comes later still."""
+        for kind in ("exact", "sampled"):
+            if kind in self._mail and self._mail[kind].get("effort") != "default":
+                self._due[kind] = 0.0
 
     def asks(self, revision: int) -> None:
         """A text is on its way: none that was sent before it is read any more."""
