@@ -176,6 +176,12 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
                 otherwise="the shortest within the limits",
             ),
             **_LIMITS,
+            "effort": Key(
+                "numbers",
+                help="input u = a_1 y' + a_2 y'' + ... of a motion; each move needs the least energy",
+                shape="a_1, a_2, ...",
+                otherwise="the polynomial of its degree",
+            ),
             "bound": _BOUND,
         },
     ),
