@@ -178,7 +178,7 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
             **_LIMITS,
             "effort": Key(
                 "numbers",
-                help="input u = a_1 y' + a_2 y'' + ... of a motion; each move needs the least energy",
+                help="of the input a_1 y' + a_2 y'' + ... whose energy is the least",
                 shape="a_1, a_2, ...",
                 otherwise="the polynomial of its degree",
             ),
