@@ -95,10 +95,10 @@ def _smoothed_less(
         last = searches[-1]
         if last.answer.converged:
             sharper = replace(law_run, smoothing=smoothing)
-            found = solve_mesh(ca, sharper, goal, FIRST_ELEMENTS, last.motion, called)
-            if not found.answer.converged:
+            solved = solve_mesh(ca, sharper, goal, FIRST_ELEMENTS, last.motion, called)
+            if not solved.answer.converged:
                 break
-            searches.append(found)
+            searches.append(solved)
     return searches
 
 
