@@ -22,6 +22,7 @@ import certrack
 from certrack import Implementation, InputError
 from certrack.cli import main
 from certrack.core.compilers import CompilerError, find_c_compiler
+from certrack.core.expressions import symbol
 from certrack.export import program as program_module
 from certrack.export.c import export as export_module
 from certrack.export.c import export_c, simulate_with_c
@@ -37,6 +38,8 @@ from certrack.export.undecided import undecided_jumps
 from certrack.laws import Adaptive, leakage
 from certrack.loops import controller as loops_controller
 from certrack.loops import sampled as loops_sampled
+from certrack.loops.energy import motor_numbers, with_motors
+from certrack.loops.plant import true_constants
 from certrack.systems.writer import field_values
 
 STRICT = (
@@ -600,3 +603,46 @@ class TestUndecided:
         write(tmp_path, code)
         run("gcc", "-shared", "-fPIC", "turns.c", "-o", "all.so", "-lm", cwd=tmp_path)
         assert worst(ctypes.CDLL(str(tmp_path / "all.so")), code) <= GOLDEN_TOLERANCE["double"]
+
+
+SPLIT_TEST = """
+#include "servo_split.h"
+#include <stdio.h>
+int main(void)
+{
+    const servo_real given[3][3] = {{1, 2, 5}, {-4, 3, 3}, {0.5, -1, 2}};
+    for (int i = 0; i < 3; i++) {
+        servo_real u_each[2];
+        servo_split(given[i][0], given[i][1], given[i][2], u_each);
+        printf("%.17g %.17g\\n", (double)u_each[0], (double)u_each[1]);
+    }
+    return 0;
+}
+"""
+
+
+@needs("gcc")
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_two_motors_share_the_input_as_in_the_simulation(real, tmp_path):
+    """Commands times torque per input are the torques of the simulated plant."""
+    base = with_motors(certrack.load("dual-motor-physical"), share=0.625, damping=0.05)
+    write(tmp_path, c_code(base, "servo", real=real, period=0.001))
+    (tmp_path / "main.c").write_text(SPLIT_TEST.replace("0.5, -1", "0.5f, -1"))
+    subprocess.run(["gcc", *STRICT, "main.c", "-o", "split"], cwd=tmp_path, check=True)
+    printed = subprocess.run(["./split"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    found = [[float(value) for value in line.split()] for line in printed.stdout.splitlines()]
+    u, one, two = symbol("u"), symbol("om_1"), symbol("om_2")
+    torques = base.truth.motors.torque_formulas(u).values()
+    for commands, values in zip(found, [(1, 2, 5), (-4, 3, 3), (0.5, -1, 2)], strict=True):
+        known = dict(zip((u, one, two), values, strict=True))
+        known |= {symbol(name): value for name, value in true_constants(base).items()}
+        gains = motor_numbers(base).torque_per_input
+        for command, torque, gain in zip(commands, torques, gains, strict=True):
+            expected = float(torque.subs(known))
+            assert gain * command == pytest.approx(expected, rel=1e-6 if real == "float" else 1e-14)
+    assert sum(found[0]) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_system_without_motors_has_no_share():
+    files = c_files(c_code(certrack.load("example1"), "drive", period=0.001))
+    assert not any(name.endswith("_split.h") for name in files)

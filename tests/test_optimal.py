@@ -109,6 +109,55 @@ def test_the_least_peak_and_the_least_error_are_duals():
     assert second.cost.peak == pytest.approx(2.0, rel=1e-2)
 
 
+# kinks
+
+
+def quickest(system, limit=2.0):
+    (found,) = optimal(system, "time", peak_input=limit).optima
+    assert found.converged and 0 < found.smoothing <= 3e-3 and found.deviation < 1e-3
+    assert found.cost.peak == pytest.approx(limit, rel=1e-5)
+    return found.cost.time
+
+
+@pytest.mark.parametrize("friction", [0.5, 1.2])
+def test_the_shortest_time_against_dry_friction(friction):
+    """It drives with U - F and brakes with U + F: T = 2 sqrt(U x/(U^2 - F^2)).
+
+    Friction that is rounded is smaller near rest: the time is below this, by the rounding's size.
+    """
+    time = quickest(double_integrator(8, f"-{friction}*sign(x2)"))
+    exact = 2 * math.sqrt(2.0 / (4.0 - friction**2))
+    assert 0.999 * exact < time < exact
+
+
+@pytest.mark.parametrize("drift", ["-abs(x1)", "min(-x1, x1)", "-max(x1, -x1, -3)"])
+def test_the_shortest_time_with_a_kink_in_the_drift(drift):
+    """x'' = u - |x|: two arcs of circles, about -U and U, which meet at x = 5/8 for U = 2."""
+    time = quickest(double_integrator(8, drift))
+    assert time == pytest.approx(math.acos(2.625 / 3) + math.acos(1.375 / 2), rel=1e-4)
+
+
+def test_the_shortest_time_to_a_reference_with_a_kink():
+    """y_d = |t - 1/2| is met at rest in its own frame after full force and full brake."""
+    time = quickest(double_integrator(8, reference="abs(t - 0.5)"))
+    assert time == pytest.approx(math.sqrt(3.5) - 0.5, rel=1e-4)
+
+
+def test_no_law_is_better_on_an_axis_with_dry_friction():
+    system = double_integrator(6, "-0.5*sign(x2)")
+    found = optimal(system, elements=240)
+    assert found.converged
+    for entry in found.optima:
+        assert found.excess(entry) > 1.0 and 0 < entry.smoothing < 0.1
+    assert any("kinks are rounded over" in line for line in optima_notes(found))
+
+
+def test_nothing_is_smoothed_where_nothing_has_a_kink_in_the_states():
+    system = double_integrator(3, "0.5*sign(t - 1)")
+    (found,) = optimal(system, "squared_error", peak_input=20.0, elements=120).optima
+    assert found.smoothing == 0 and found.record()["smoothing"] == 0
+
+
 # the laws beside them
 
 
@@ -308,9 +357,11 @@ def test_limits_that_nothing_keeps_are_told(tmp_path):
     assert "none found: " in result.stdout
 
 
-def test_the_shortest_time_needs_formulas_without_breaks():
-    system = double_integrator(disturbance="sign(t - 1)")
-    with pytest.raises(InputError, match="without breaks"):
+def test_the_shortest_time_needs_one_formula():
+    text = certrack.to_text(double_integrator())
+    pieces = 'kind = "velocity"\npositions = [0, 1]\nspeed = 1\nacceleration = 1'
+    system = certrack.loads(text.replace('signal = "0*t"', pieces))
+    with pytest.raises(InputError, match="one formula, not pieces"):
         optimal(system, "time", peak_input=3.0)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix
 
@@ -334,3 +335,85 @@ def test_every_kind_survives_a_system_file(made):
     kit.reference = made
     kit.test_survives_a_system_file()
     kit.test_keeps_the_protocol()
+
+
+# moves of least energy
+
+#: u = 0.175 y'' + y''''/240: what the shipped dual motor needs for a motion.
+DUAL_MOTOR_EFFORT = (0, 0.175, 0, 1 / 240)
+
+
+def energy_of(reference, effort, time):
+    """Integral of u^2 over a move, by Gauss' rule, which is exact for such polynomials."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    Y = reference.values(time * (nodes + 1) / 2, len(effort))
+    u = sum(a * row for a, row in zip(effort, Y[1:], strict=True))
+    return float(time / 2 * weights @ u**2)
+
+
+def least_energy(time):
+    """Of all inputs that move the dual motor by 1 from rest to rest, by its Gramian."""
+    A, b = np.diag([1.0, 1.0, 1.0], 1), np.array([0.0, 0.0, 0.0, 240.0])
+    A[3, 2] = -0.175 * 240
+    both = np.block([[-A, np.outer(b, b)], [np.zeros((4, 4)), A.T]])
+    flow = expm(time * both)
+    gramian = flow[4:, 4:].T @ flow[:4, 4:]
+    return float(np.linalg.solve(gramian, [1.0, 0.0, 0.0, 0.0])[0])
+
+
+@pytest.mark.parametrize(("time", "plain"), [(1.0, 1.10), (2.0, 1.13)])
+def test_a_move_of_least_energy_needs_what_the_gramian_says(time, plain):
+    effort = DUAL_MOTOR_EFFORT
+    found = polynomial((0, 1), degree=7, duration=time, effort=effort)
+    least = least_energy(time)
+    assert 1 - 1e-9 < energy_of(found, effort, time) / least < 1.0001
+    septic = polynomial((0, 1), degree=7, duration=time)
+    assert energy_of(septic, effort, time) / least == pytest.approx(plain, abs=0.005)
+
+
+def test_for_a_double_integrator_it_is_the_cubic():
+    """Its least energy is 12/T^3, and no power that is added lowers it."""
+    cubic = polynomial((0, 1, 0.4), degree=3, duration=2)
+    found = polynomial((0, 1, 0.4), degree=3, duration=2, effort=(0, 1))
+    times = np.linspace(0, 4, 101)
+    assert (found.values(times, 2) == cubic.values(times, 2)).all()
+    assert energy_of(polynomial((0, 1), 3, 2, effort=(0, 1)), (0, 1), 2.0) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("effort", [(0.3, 0.0, 0.0, 1.0), (0.0, 0.1, 0.0, 2.0), DUAL_MOTOR_EFFORT])
+def test_its_bounds_hold_and_its_ends_are_at_rest(effort):
+    found = polynomial((0, 1, -0.5), degree=7, duration=(1.5, 2.5), dwell=0.2, effort=effort)
+    bounds = found.bounds(4).values
+    largest = dense(found, 4)
+    assert (largest <= np.array(bounds) * (1 + 1e-12)).all()
+    assert (largest[:4] >= np.array(bounds)[:4] * (1 - 1e-3)).all()
+    ends = found.values(np.array([0.0, 1.5, 1.7, 4.2]), 3)
+    rest = np.abs(ends[1:]).max(axis=1)  # but for the rounding of its evaluation
+    assert (rest < 1e-9 * np.array(bounds[1:4])).all() and found.order == 4
+
+
+def test_a_file_can_state_an_effort():
+    text = certrack.to_text(certrack.load("dual-motor-lean"))
+    head, tail = text.split("[reference]\n")
+    keys = 'kind = "polynomial"\npositions = [0, 0.1]\ndegree = 7\nduration = 2\n'
+    rest = tail[tail.index("\n[") :]
+    system = certrack.loads(f'{head}[reference]\n{keys}effort = [0, 0.175, 0, "1/240"]\n{rest}')
+    again = certrack.loads(certrack.to_text(system))
+    assert (again.reference.values(np.ones(1), 4) == system.reference.values(np.ones(1), 4)).all()
+    plain = certrack.loads(f"{head}[reference]\n{keys}{rest}")
+    energies = [certrack.simulate(s.with_settings(x0=(0,) * 4)).metrics for s in (system, plain)]
+    assert energies[0].input_energy < energies[1].input_energy
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ({"effort": (1.0,), "speed": 1.0}, "reference.effort: needs a duration"),
+        ({"effort": (1.0, 2.0, 0.0), "duration": 1.0}, "the last not zero"),
+        ({"effort": (1.0,) * 4, "duration": 1.0}, "must be 3 numbers"),
+        ({"effort": (), "duration": 1.0}, "reference.effort"),
+    ],
+)
+def test_an_effort_that_does_not_fit_is_refused(wanted, said):
+    with pytest.raises(InputError, match=said):
+        polynomial((0, 1), degree=5, **wanted)

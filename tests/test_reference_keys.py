@@ -53,6 +53,8 @@ def expected(kind, name):
         return None, (0 if kind in FROM_REST else None), 0.0, False
     if name == "degree":
         return None, None, (5 if kind == "polynomial" else None), False
+    if name == "effort":
+        return None, None, None, False
     if name == "duration":
         return 0, None, None, kind == "chirp"
     return EVERYWHERE[name]

@@ -45,7 +45,8 @@ def optimum_result(
         Without CasADi.
     """
     from certrack.reports.optima import LEAST_TEXTS, optima_notes, optima_table
-    from certrack.studies.optimal.optimal import FIRST_ELEMENTS, MAX_ELEMENTS, optimal
+    from certrack.studies.optimal.mesh_search import FIRST_ELEMENTS
+    from certrack.studies.optimal.optimal import MAX_ELEMENTS, optimal
 
     horizon = options.get("horizon")
     elements = options.get("elements", PAGE_ELEMENTS)

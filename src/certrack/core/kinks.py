@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import reduce
 
 import sympy
@@ -87,3 +87,48 @@ def without_minmax(expr: sympy.Expr) -> sympy.Expr:
         lambda a, b: (a + b + sympy.Abs(a - b)) / 2,
         lambda a, b: (a + b - sympy.Abs(a - b)) / 2,
     )
+
+
+def kink_arguments(
+    formulas: Iterable[sympy.Expr], names: Collection[sympy.Symbol]
+) -> list[sympy.Expr]:
+    """What abs and sign are taken of, where it contains one of the names.
+
+    Parameters
+    ----------
+    formulas : iterable of formulas
+        Their min and max count as what :func:`without_minmax` writes.
+    names : collection of symbols
+    """
+    kinks = set().union(*(without_minmax(f).atoms(sympy.Abs, sympy.sign) for f in formulas))
+    arguments = {kink.args[0] for kink in kinks if kink.free_symbols.intersection(names)}
+    return sorted(arguments, key=sympy.default_sort_key)
+
+
+def smoothed(
+    formula: sympy.Expr,
+    widths: Mapping[sympy.Expr, float],
+    kinds: tuple[type[sympy.Function], ...] = (sympy.Abs, sympy.sign),
+) -> sympy.Expr:
+    """The formula with sqrt(a^2 + eps^2) for \\|a\\|, and a/sqrt(a^2 + eps^2) for sign(a).
+
+    Parameters
+    ----------
+    formula : formula
+        Its min and max are written by abs.
+    widths : mapping
+        eps of each argument a; kinks of other arguments stay.
+    kinds : tuple
+        Which kinks count.
+    """
+
+    def smooth(part: sympy.Expr) -> sympy.Expr:
+        if not part.args:
+            return part
+        args = [smooth(arg) for arg in part.args]
+        if not isinstance(part, kinds) or part.args[0] not in widths:
+            return part.func(*args)
+        root = sympy.sqrt(args[0] ** 2 + sympy.Float(widths[part.args[0]]) ** 2)
+        return root if isinstance(part, sympy.Abs) else args[0] / root
+
+    return smooth(without_minmax(formula))

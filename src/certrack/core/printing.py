@@ -58,6 +58,24 @@ def recognise_selection(choice: sympy.Expr) -> tuple[str, tuple[sympy.Expr, ...]
     return None
 
 
+def selection_of(name: str, arguments: tuple[sympy.Expr, ...]) -> sympy.Expr:
+    """The :class:`~certrack.core.select.Select` that :func:`recognise_selection` would name so.
+
+    Parameters
+    ----------
+    name : str
+        "max", "min", "abs" or "clamp".
+    arguments : tuple of formulas
+    """
+    a, *others = arguments
+    if name == "abs":
+        return Select(a, 0, a, -a)
+    b, *high = others
+    if name == "clamp":
+        return Select(a, b, a, selection_of("min", (b, *high)))
+    return Select(a, b, a, b) if name == "max" else Select(a, b, b, a)
+
+
 class FormulaPrinter(Printer):
     """Base of the printers.
 

@@ -19,6 +19,7 @@ from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.printing import recognise_selection, selection_of
 from certrack.export.program import ControllerProgram
 from certrack.export.undecided import undecided_jumps
 from certrack.integrators.sampled.maps import SampledMaps, Scalar
@@ -217,8 +218,9 @@ def _perturbed_controller(system: System, program: ControllerProgram) -> tuple[E
     def marked(expr: sympy.Expr) -> sympy.Expr:
         if not expr.args or expr.is_number:
             return expr
+        usual = recognise_selection(expr)  # the code has each of its arguments once
         args = []
-        for arg in expr.args:
+        for arg in expr.args if usual is None else usual[1]:
             if arg.is_number and arg != 0 and not expr.is_Pow and (expr.is_Add or arg != -1):
                 names.append(symbol(f"literal_{len(names)}"))
                 values.append(float(arg))
@@ -226,7 +228,7 @@ def _perturbed_controller(system: System, program: ControllerProgram) -> tuple[E
                 args.append(names[-1])
             else:
                 args.append(marked(arg))
-        return expr.func(*args)
+        return expr.func(*args) if usual is None else selection_of(usual[0], tuple(args))
 
     values_of: dict[sympy.Symbol, sympy.Expr] = {}
     for step in (*program.steps, *program.rates):

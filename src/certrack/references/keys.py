@@ -176,6 +176,12 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
                 otherwise="the shortest within the limits",
             ),
             **_LIMITS,
+            "effort": Key(
+                "numbers",
+                help="of the input a_1 y' + a_2 y'' + ... whose energy is the least",
+                shape="a_1, a_2, ...",
+                otherwise="the polynomial of its degree",
+            ),
             "bound": _BOUND,
         },
     ),

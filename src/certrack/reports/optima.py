@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from certrack.reports.tables import Table, short_number, table
 from certrack.simulation.labels import energy_unit, labelled, unit_of_input, unit_of_output
-from certrack.studies.optimal.optimal import LIMIT_ROUNDING, MINIMUM_CHANGE
+from certrack.studies.optimal.mesh_search import MINIMUM_CHANGE
+from certrack.studies.optimal.optimal import LIMIT_ROUNDING
 
 if TYPE_CHECKING:
     from certrack.studies.optimal.goal import Goal
@@ -76,6 +77,11 @@ def _remarks(result: Optima, optimum: Optimum) -> Iterator[str]:
     for name, limit in optimum.goal.limits.items():
         if getattr(result.law, name) > limit * (1 + LIMIT_ROUNDING):
             yield f"{goal}: the law exceeds {LIMIT_TEXTS[name]} <= {short_number(limit, 4)}"
+    if optimum.smoothing:
+        yield (
+            f"{goal}: kinks are rounded over {100 * optimum.smoothing:g} % of the largest size of "
+            "what they are taken of"
+        )
     if excess is not None and excess < 1.0:
         yield f"{goal}: the law needs less: on such a mesh no better input was found"
     if optimum.mesh_error is not None and optimum.mesh_error > MINIMUM_CHANGE:

@@ -13,6 +13,7 @@ from certrack.export.c.guard import guard_header
 from certrack.export.c.monitor import monitor_header
 from certrack.export.c.readme import README_KIND, readme
 from certrack.export.c.source import CCode, c_code
+from certrack.export.c.torque_split import split_header
 from certrack.export.golden_vectors import golden_vectors
 from certrack.export.monitor import Monitor
 from certrack.systems.system import System
@@ -45,6 +46,8 @@ def controller_files(code: CCode) -> dict[str, str]:
     }
     if code.monitor is not None:
         files[f"{code.name}_monitor.h"] = monitor_header(code)
+    if code.system.truth.motors is not None:
+        files[f"{code.name}_split.h"] = split_header(code)
     return files
 
 
@@ -82,6 +85,8 @@ def export_c(
     monitor : Monitor, optional
         Adds NAME_monitor.h: enable and disable, reset of the estimates, flags for the premises of
         the certificate, and what the monitor asks for besides.
+
+    Where the truth has two motors, NAME_split.h shares u between them.
 
     Returns
     -------

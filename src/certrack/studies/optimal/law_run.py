@@ -6,17 +6,20 @@ the search begins with that run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import sympy
 
 from certrack.core.arrays import Array
 from certrack.core.casadi_forms import casadi_callable
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.core.lowering import numpy_callable
+from certrack.core.kinks import kink_arguments, smoothed, without_minmax
+from certrack.core.lowering import numpy_callable, rows
 from certrack.core.progress import Progress
 from certrack.integrators.base import Outcome
 from certrack.laws.plant_coordinates import output_derivatives
@@ -27,6 +30,7 @@ from certrack.loops.time_switches import switched_loop
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.optimal.goal import TrajectoryCost
+from certrack.studies.optimal.mesh import MESH_SAMPLES
 from certrack.systems.system import System
 
 
@@ -43,12 +47,19 @@ class LawRun:
         What that run costs.
     breaks : (K,) array, s
         Where reference or disturbance have a kink or a jump in time.
+    smoothing : float
+        Width of kinks of the plant in its states, over the largest size of their arguments in the
+        run; 0 for none.
+    over_time : bool
+        Whether kinks and jumps in time count as well: where the time itself is searched.
     """
 
     run: Run
     plant: SimulatedPlant
     law: TrajectoryCost
     breaks: Array
+    smoothing: float = 0.0
+    over_time: bool = False
 
     @property
     def system(self) -> System:
@@ -85,8 +96,9 @@ class LawRun:
         return self.system.reference.values(t, 0)
 
     def rates(self) -> Callable[[float, Array, float], list[Any]]:
-        """x' = f(t, x, u) in floats."""
-        return numpy_callable([TIME, self.plant.states, INPUT], self._numeric(self.plant.rates))
+        """x' = f(t, x, u) in floats; jumps in the states as wide as the smoothing says."""
+        formulas = [self._smoothed(rate, sympy.sign) for rate in self._numeric(self.plant.rates)]
+        return numpy_callable([TIME, self.plant.states, INPUT], formulas)
 
     def output(self) -> Callable[[Array], list[Any]]:
         """The measured output x_1 in floats."""
@@ -94,12 +106,66 @@ class LawRun:
 
     def rates_in_casadi(self, module: Any) -> Callable[..., list[Any]]:
         """f(t, x, u) of CasADi's symbols."""
-        formulas = self._numeric(self.plant.rates)
-        return casadi_callable(module, [TIME, self.plant.states, INPUT], formulas)
+        return self._in_casadi(
+            module, [TIME, self.plant.states, INPUT], self._numeric(self.plant.rates)
+        )
 
     def outputs_in_casadi(self, module: Any) -> Callable[..., list[Any]]:
         """The measured states, of CasADi's symbols of x."""
-        return casadi_callable(module, [self.plant.states], self._numeric(self.plant.outputs))
+        return self._in_casadi(module, [self.plant.states], self._numeric(self.plant.outputs))
+
+    def reference_in_casadi(self, module: Any) -> Callable[..., list[Any]]:
+        """y_d and its first n - 1 derivatives, of CasADi's time."""
+        return self._in_casadi(module, [TIME], self._reference_formulas)
+
+    @property
+    def has_kinks(self) -> bool:
+        """Whether anything is to be smoothed."""
+        return bool(self._kink_sizes)
+
+    @property
+    def has_jumping_rates(self) -> bool:
+        """Whether the plant's rates have a jump in its states, as dry friction has."""
+        rates = map(without_minmax, self._numeric(self.plant.rates))
+        jumps = set().union(*(rate.atoms(sympy.sign) for rate in rates))
+        return any(jump.args[0] in self._kink_sizes for jump in jumps)
+
+    @property
+    def _reference_formulas(self) -> list[sympy.Expr]:
+        reference = self.system.reference
+        known = dict(zip(reference.parameter_symbols, reference.parameter_values, strict=True))
+        order = self.system.plant.n - 1
+        return [formula.xreplace(known) for formula in reference.formulas(order)]
+
+    @cached_property
+    def _kink_sizes(self) -> dict[sympy.Expr, float]:
+        """Arguments of the kinks, and their largest sizes in the run."""
+        formulas = [*self._numeric(self.plant.rates), *self._numeric(self.plant.outputs)]
+        moving = {*self.plant.states, INPUT}
+        if self.over_time:
+            moving.add(TIME)
+            formulas += self._reference_formulas
+        arguments = kink_arguments(formulas, moving)
+        if not arguments:
+            return {}
+        t = np.linspace(0.0, self.horizon, MESH_SAMPLES)
+        values = numpy_callable([TIME, self.plant.states, INPUT], arguments)
+        with np.errstate(all="ignore"):
+            table = rows(values(t, self.states(t), self.inputs(t)), len(t))
+        sizes = np.nan_to_num(np.abs(table)).max(axis=1)
+        return {a: float(size) or 1.0 for a, size in zip(arguments, sizes, strict=True)}
+
+    def _smoothed(self, formula: sympy.Expr, *kinds: type[sympy.Function]) -> sympy.Expr:
+        """The formula with its kinks (of these kinds) as wide as the smoothing says."""
+        if not self.smoothing:
+            return formula
+        widths = {argument: self.smoothing * size for argument, size in self._kink_sizes.items()}
+        return smoothed(formula, widths, kinds or (sympy.Abs, sympy.sign))
+
+    def _in_casadi(
+        self, module: Any, arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
+    ) -> Callable[..., list[Any]]:
+        return casadi_callable(module, arguments, [self._smoothed(f) for f in formulas])
 
     def _numeric(self, formulas: Any) -> list[Any]:
         """The plant's formulas with its numbers."""

@@ -12,10 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
-
-import numpy as np
 
 from certrack.core import checks
 from certrack.core.arrays import Array
@@ -24,24 +21,16 @@ from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.loops.plant import measured
 from certrack.simulation.run import Run
-from certrack.studies.optimal.collocation import CollocationGrid, gauss_scheme
 from certrack.studies.optimal.goal import Goal, TrajectoryCost
-from certrack.studies.optimal.ipopt import SolverAnswer, minimise
 from certrack.studies.optimal.law_run import LawRun, law_run_of
-from certrack.studies.optimal.mesh import MESH_SAMPLES, mesh
-from certrack.studies.optimal.program import (
-    GridValues,
-    PlantMotion,
-    guess_on,
-    motion_on,
-    solution,
-    transcribe,
+from certrack.studies.optimal.mesh_search import (
+    ELEMENTS,
+    FIRST_ELEMENTS,
+    FOLLOWED,
+    NEGLIGIBLE_MINIMUM,
+    finest,
 )
-from certrack.studies.optimal.replay import Replay, replay
 from certrack.systems.system import System, require_system
-
-#: Elements of the first mesh, and the most of the last one: from mesh to mesh they double.
-FIRST_ELEMENTS, ELEMENTS = 120, 960
 
 #: The most that may be asked for.
 MAX_ELEMENTS = 20_000
@@ -51,16 +40,6 @@ AT_REFERENCE = 1e-9
 
 #: A law keeps a limit that it exceeds by this part.
 LIMIT_ROUNDING = 1e-6
-
-#: An optimum is none if the plant deviates from it by more than this part of a state's magnitude.
-FOLLOWED = 1e-3
-
-#: A minimum below this part of what the law needs is as good as zero.
-NEGLIGIBLE_MINIMUM = 1e-9
-
-#: A mesh is fine enough where the minimum changes by less than this part from the one before, and
-#: the plant deviates from the trajectory by less than this part of each state's magnitude.
-MINIMUM_CHANGE, ADMITTED_DEVIATION = 3e-3, 1e-3
 
 
 @dataclass(frozen=True)
@@ -89,6 +68,9 @@ class Optimum:
     deviation : float
         Largest defect of the trajectory at the ends of elements, relative to the largest magnitude
         of each state.
+    smoothing : float
+        eps of the kinks, as a part of the largest size of their arguments in the law's run; 0 where
+        nothing is smoothed.
     """
 
     goal: Goal
@@ -103,6 +85,7 @@ class Optimum:
     reference: Array
     mesh_error: float | None
     deviation: float
+    smoothing: float = 0.0
 
     @property
     def minimum(self) -> float:
@@ -118,6 +101,7 @@ class Optimum:
             **self.cost.record(),
             "mesh_error": self.mesh_error,
             "deviation": self.deviation,
+            "smoothing": self.smoothing,
         }
 
 
@@ -282,7 +266,7 @@ def _optimum(
     ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
 ) -> Optimum:
     """The optimum of the finest mesh that was solved, and what the plant does with its input."""
-    search, change = _finest(ca, law_run, goal, elements, called)
+    search, change = finest(ca, law_run, goal, elements, called)
     played, converged, reason = search.played, search.answer.converged, search.answer.reason
     if converged and played.deviation > FOLLOWED:
         converged, reason = False, "the plant does not follow what the program takes for its motion"
@@ -300,99 +284,5 @@ def _optimum(
         reference=system.reference.values(played.times, 0)[0],
         mesh_error=change,
         deviation=played.deviation,
+        smoothing=search.law_run.smoothing,
     )
-
-
-def _finest(
-    ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
-) -> tuple[SolvedMesh, float | None]:
-    """Search from the law's run, then from the optimum of each mesh on one twice as fine.
-
-    Also the change of the minimum with the last mesh, relative; None of a single mesh.
-    """
-    count, change = FIRST_ELEMENTS, None
-    search = _coarsest(ca, law_run, goal, count, called)
-    while search.answer.converged and count < elements:
-        settled = change is not None and change < MINIMUM_CHANGE
-        if settled and search.played.deviation < ADMITTED_DEVIATION:
-            break
-        count = min(2 * count, elements)
-        finer = _solve_mesh(ca, law_run, goal, count, search.motion, called)
-        if not finer.answer.converged:
-            break  # a coarser optimum is one, too
-        floor = max(abs(search.minimum), abs(finer.minimum), NEGLIGIBLE_MINIMUM)
-        search, change = finer, abs(finer.minimum - search.minimum) / floor
-    return search, change
-
-
-def _coarsest(
-    ca: Any, law_run: LawRun, goal: Goal, count: int, called: Callable[[], None]
-) -> SolvedMesh:
-    """The first mesh; the shortest time is sought within the law's, then within the horizon."""
-    ends = [law_run.horizon]
-    if goal.minimised == "time" and 0 < law_run.law.time < law_run.horizon:
-        ends.insert(0, law_run.law.time)
-    for end in ends:
-        motion = PlantMotion(law_run.states, law_run.inputs, end)
-        search = _solve_mesh(ca, law_run, goal, count, motion, called)
-        if search.answer.converged:
-            break
-    return search
-
-
-@dataclass(frozen=True)
-class SolvedMesh:
-    """A solved program.
-
-    Attributes
-    ----------
-    law_run : LawRun
-    answer : SolverAnswer
-    of_time : bool
-        Whether the time was minimised.
-    ends : (E + 1,) array, s
-    values : GridValues
-        States and inputs on the mesh.
-    motion : PlantMotion
-        The same as functions of the time.
-    """
-
-    law_run: LawRun
-    answer: SolverAnswer
-    of_time: bool
-    ends: Array
-    values: GridValues
-    motion: PlantMotion
-
-    @property
-    def minimum(self) -> float:
-        """What was minimised, over a unit of its own; the time itself."""
-        return self.motion.end if self.of_time else self.answer.minimum
-
-    @cached_property
-    def played(self) -> Replay:
-        """What the plant does with the input found."""
-        values = self.values
-        return replay(self.law_run, self.ends, values.inputs, values.begins, self.of_time)
-
-
-def _solve_mesh(
-    ca: Any,
-    law_run: LawRun,
-    goal: Goal,
-    elements: int,
-    first: PlantMotion,
-    called: Callable[[], None],
-) -> SolvedMesh:
-    """Solve on the mesh that a motion makes, from that motion."""
-    times = np.linspace(0.0, first.end, MESH_SAMPLES)
-    breaks = law_run.breaks[law_run.breaks < first.end]
-    grid = CollocationGrid(mesh(times, first.inputs(times), elements, breaks), gauss_scheme())
-    guess = guess_on(grid, first)
-    program = transcribe(ca, law_run, goal, grid, guess)
-    answer = minimise(ca, program, called)
-    values, stretch = solution(guess, answer.vector)
-    stretched = CollocationGrid(grid.ends * stretch, grid.scheme)
-    of_time = goal.minimised == "time"
-    motion = motion_on(stretched, values)
-    return SolvedMesh(law_run, answer, of_time, stretched.ends, values, motion)

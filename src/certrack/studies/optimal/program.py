@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from certrack.core.arrays import Array
-from certrack.core.casadi_forms import casadi_callable
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME
 from certrack.laws.plant_coordinates import output_derivatives
 from certrack.studies.optimal.collocation import COLLOCATION_DEGREE, CollocationGrid
 from certrack.studies.optimal.goal import Goal
@@ -321,10 +319,10 @@ def _arrival(ca: Any, law_run: LawRun, state: Any, time: Any) -> Any:
 def _reference_formulas(ca: Any, law_run: LawRun) -> Callable[[Any], list[Any]]:
     """y_d and its derivatives as functions of CasADi's time."""
     reference = law_run.system.reference
-    if reference.piece_symbols or len(law_run.breaks):
+    if reference.piece_symbols:
         raise InputError(
             "objective",
-            "the shortest time needs a reference and disturbances without breaks",
+            "the shortest time needs a reference that is one formula, not pieces",
             "time",
             "Minimise the squared error under a limit of the peak input instead",
         )
@@ -335,7 +333,4 @@ def _reference_formulas(ca: Any, law_run: LawRun) -> Callable[[Any], list[Any]]:
             "which it reaches with the output",
             "time",
         )
-    known = dict(zip(reference.parameter_symbols, reference.parameter_values, strict=True))
-    order = law_run.system.plant.n - 1
-    formulas = [formula.xreplace(known) for formula in reference.formulas(order)]
-    return casadi_callable(ca, [TIME], formulas)
+    return law_run.reference_in_casadi(ca)

@@ -52,6 +52,8 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: 
     Parameters
     ----------
     law_run : LawRun
+        Jumps of its plant in the states (dry friction) as wide as its smoothing says; all else is
+        as it is.
     ends : (E + 1,) array, s
         Of the elements.
     inputs : (2, E) array
@@ -62,6 +64,7 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: 
         Whether the end is a time of arrival.
     """
     rates, output = law_run.rates(), law_run.output()
+    method = "LSODA" if law_run.has_jumping_rates else "DOP853"  # a smoothed jump is stiff
     reference = law_run.system.reference
 
     def right_side(t: float, z: Array, begin: float, first: float, slope: float) -> Array:
@@ -82,7 +85,7 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: 
                 right_side,
                 (begin, inside[-1]),
                 np.append(states, 0.0),
-                method="DOP853",
+                method=method,
                 t_eval=inside,
                 args=(begin, first, (last - first) / (end - begin)),
                 rtol=RELATIVE_TOLERANCE,
