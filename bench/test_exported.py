@@ -1,4 +1,4 @@
-"""One step of the exported C in double precision, against the same law written by hand: `make bench`.
+"""A step of the exported C, in double precision, against the law written by hand: `make bench`.
 
 Both are functions of a file of their own, called from a loop in another, with measurements that
 change and with the state carried along, as a drive calls them.
