@@ -19,7 +19,7 @@ WORKERS = 4
 
 #: Processor time over that without a cluster that is wanted at most, and beyond which something
 #: has gone wrong: the killed worker's chunks are computed twice, and the machine may be busy.
-WANTED, MOST = 1.15, 1.6
+WANTED, MOST = 1.15, 3.0
 
 
 def spent_by(pids):
