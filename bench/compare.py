@@ -116,6 +116,13 @@ def _run(name: str, tolerance: float, wanted: float) -> Row:
     )
 
 
+def _members(name: str, count: int, wanted: float) -> Row:
+    """Members of a population, compiled before, with the limit remembered."""
+    setup = f's = certrack.load("{name}")\n'
+    call = f"certrack.ensemble(s, {count}, threads=1)"
+    return Row(wanted, (), setup + call, "", call)
+
+
 ROWS = {
     "certrack list": Row(0.25, ("list",)),
     "certrack design example1": Row(0.25, ("design", "example1")),
@@ -134,6 +141,8 @@ ROWS = {
     "bound of robust n = 12, warm": _bound(12, 10e-3, warm=True),
     "run of example1 at 1e-9": _run("example1", 1e-9, 0.15e-3),
     "run of example1 at 1e-6": _run("example1", 1e-6, 0.10e-3),
+    "10,000 members of example1": _members("example1", 10_000, 0.12),
+    "1,024 members of dual-motor": _members("dual-motor", 1_024, 1_024 * 20e-6),
     "sampled run of dual-motor-drive": _run("dual-motor-drive", 1e-9, 5e-3),
 }
 

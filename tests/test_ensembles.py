@@ -27,6 +27,7 @@ from certrack.integrators.many.native import vector_compiler
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
 from certrack.model.population import Population
+from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.methods.choice import create_method
@@ -524,6 +525,45 @@ def test_a_cluster_gives_the_same_even_if_a_worker_dies():
         found = certrack.ensemble(system, 12_000, chunk=1000, client=client, progress=progress)
     assert killed
     identical(found, certrack.ensemble(system, 12_000))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="nothing makes keys")
+def test_a_cluster_over_tls(tmp_path):
+    """Keys of Dask's configuration serve the address of `--cluster`; without them it is refused."""
+    import dask
+    from distributed import LocalCluster, Security
+
+    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
+    request = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=localhost -keyout"
+    command = [*request.split(), key, "-out", certificate]
+    subprocess.run(command, check=True, capture_output=True)
+    tls = "distributed.comm.tls"
+    keys = {f"{tls}.ca-file": str(certificate), "distributed.comm.require-encryption": True}
+    for role in ("scheduler", "worker", "client"):
+        keys |= {f"{tls}.{role}.cert": str(certificate), f"{tls}.{role}.key": str(key)}
+    system = certrack.load("example1")
+    with (
+        dask.config.set(keys),
+        LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            dashboard_address=None,
+            host="tls://127.0.0.1",
+            security=Security(),
+        ) as cluster,
+    ):
+        address = cluster.scheduler_address
+        assert address.startswith("tls://")
+        with workers.connect(address) as client:
+            found = certrack.ensemble(system, 512, limit=np.inf, chunk=64, client=client)
+        with (
+            dask.config.set(dict.fromkeys(keys)),
+            pytest.raises(InputError, match="--cluster: cannot reach the scheduler .*TLS"),
+            workers.connect(address),
+        ):
+            pass
+    identical(found, certrack.ensemble(system, 512, limit=np.inf))
 
 
 def test_summary_is_json():

@@ -89,7 +89,7 @@ def connect(address: str) -> Iterator[Any]:
         raise MissingExtra("distributed", "cluster", "running on a Dask cluster") from None
     try:
         client = Client(address, timeout=10)
-    except (OSError, ValueError, TimeoutError) as problem:
+    except (OSError, ValueError, TimeoutError, TypeError) as problem:  # the last: TLS without keys
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         raise InputError(
             "--cluster", f"cannot reach the scheduler ({reason})", address, "e.g. tcp://host:8786"
