@@ -246,7 +246,7 @@ def falsify(
     own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
     give another, at the corners of plant.ranges; where it is not, an ascent by its adjoint does.
     With [implementation] there is also one of the sampled loop with the worst noise, which --out
-    FILE.toml writes as FILE-drive.toml.
+    FILE.toml writes as FILE-drive.toml; the adaptive law is searched on that loop.
 
     The worst error found is compared with every certificate: the ratio of bound to error tells how
     tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise

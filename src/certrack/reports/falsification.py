@@ -11,7 +11,8 @@ from certrack.reports.tables import Table, table
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate
-    from certrack.studies.falsifier.falsify import DriveFalsification, Falsification
+    from certrack.studies.falsifier.drive import DriveFalsification
+    from certrack.studies.falsifier.falsify import Falsification
     from certrack.studies.falsifier.lost_starts import LostStarts
 
 
@@ -55,6 +56,7 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
         "reason": drive.certificate.reason or None,
         "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
         "first_escape": _of_escape(drive),
+        "runs": drive.runs,
     }
 
 
@@ -69,13 +71,14 @@ def _of_escape(drive: DriveFalsification) -> dict[str, Any] | None:
 
 def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     """The same in words."""
-    rounding = "with the sensors' rounding at its worst"
+    estimate = math.nan if drive["estimate"] is None else drive["estimate"]
+    of_rounding = f"with the sensors' rounding at its worst, by the linear loop: {estimate:.6g}"
     certified = printed_bound(drive["certified"])
     if not drive["verified"]:
         certified += f" (not verified: {drive['reason']})"
     lines = [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
-        f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
+        *([] if drive["estimate"] is None else [of_rounding]),
         f"as implemented, certified limsup |e_1|: {certified}",
     ]
     if (escape := drive["first_escape"]) is not None:
