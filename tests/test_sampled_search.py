@@ -4,10 +4,13 @@ import functools
 import math
 from dataclasses import replace
 
+import flint
 import numpy as np
 import pytest
 
 import certrack
+from certrack.certificates.bootstrap.tape import Tape
+from certrack.core.kinks import derivative
 from certrack.studies.falsifier.falsify import falsify
 from certrack.studies.falsifier.sampled_search import _worst_sensor_errors
 
@@ -43,6 +46,10 @@ x0 = [0]
 duration = 10
 estimates = [1, 0.5]
 """
+
+
+#: The same with a regressor that saturates.
+KINKED = EASY.replace('["x"]\ngain', '["min(max(x, -0.15), 0.15)"]\ngain')
 
 
 @functools.cache
@@ -89,6 +96,25 @@ def test_a_certificate_of_the_sampled_loop_is_not_exceeded():
     assert drive.worst_error <= drive.certificate.bound
     below = replace(drive, certificate=replace(drive.certificate, bound=drive.worst_error * 0.99))
     assert below.exceeds
+
+
+def test_kinks_of_a_regressor_have_slopes():
+    """On a box across the kinks of min and max the slope is anything between its two sides."""
+    x = certrack.loads(KINKED).plant.symbols[0]
+    formula = certrack.loads(KINKED).plant.regressor[0].expr
+    (slope,) = Tape([derivative(formula, x)], [x])([flint.arb(0.1, 0.1)])
+    assert slope.contains(0)
+    assert slope.contains(1)
+    (inside,) = Tape([derivative(formula, x)], [x])([flint.arb(0, 0.1)])
+    assert abs(inside - 1) < 1e-9
+
+
+@pytest.mark.slow
+def test_no_attack_beats_the_certificate_of_a_law_with_kinks():
+    drive = falsify(certrack.loads(KINKED), budget=1200).drive
+    assert drive.certificate.verified
+    assert not drive.limited
+    assert 0.5 * drive.certificate.bound < drive.worst_error < drive.certificate.bound
 
 
 def test_sensors_stay_at_their_bounds():
