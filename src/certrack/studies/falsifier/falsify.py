@@ -22,6 +22,7 @@ from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.kinks import JUMPING
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
@@ -256,14 +257,24 @@ def falsify(
 def _search(
     system: System, linear: LinearCase | None, budget: int, progress: Progress
 ) -> Search | None:
-    """The search; None for a plant or law with a sign or a kink, where there is a linear case."""
+    """The search; None for a plant or law that is not smooth, where something else is tried.
+
+    That is the linear case, or the ascent, which follows the adaptive law across kinks.
+    """
     Adversary.against(system)  # refuses names of the user
     try:
         return Search(AdversarialLoop(system, budget), budget, progress)
     except InputError:
-        if linear is None:
+        if linear is None and not _has_kinks_only(system):
             raise
         return None
+
+
+def _has_kinks_only(system: System) -> bool:
+    """Whether the loop is that of the adaptive law, and nothing of it jumps."""
+    formulas = (system.plant.drift, *system.plant.regressor)
+    jumps = any(formula.expr.has(*JUMPING) for formula in formulas)
+    return isinstance(system.law, Adaptive) and not jumps
 
 
 def _worst_member(system: System, linear: LinearCase | None) -> System:
