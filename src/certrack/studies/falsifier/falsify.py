@@ -219,10 +219,10 @@ def falsify(
         except NothingTried as refusal:
             left_out[ASCENT] = str(refusal)
     if guarantee is not None:
-        found = None if search is None else (search.loop, best)
+        seeded = None if search is None else (search.loop, best)
         try:
             drive = attack_as_implemented(
-                implemented, guarantee, cases, found, budget, seed, progress
+                implemented, guarantee, cases, seeded, budget, seed, progress
             )
             del left_out["drive"]
         except NothingTried as refusal:

@@ -45,7 +45,7 @@ NEAREST_PART, MAX_SEGMENTS = 1e-3, 4
 SIGN_PART = 0.01
 
 #: A lost run counts more than any that is not.
-LOST_SCORE = math.inf
+SCORE_OF_LOST = math.inf
 
 #: The file's own disturbances, as the name of a pattern; the others are named by their signs.
 OWN_PATTERN, OUTWARD = "own", "outward"
@@ -231,7 +231,7 @@ class _StartSearch:
         gone = _is_lost(run)
         if gone:
             self.lost += 1
-            score = LOST_SCORE
+            score = SCORE_OF_LOST
         else:
             sizes = np.abs(run.x).max(axis=0)
             self.largest = max(self.largest, float(sizes.max()))
@@ -248,8 +248,8 @@ class _StartSearch:
         gone.sort(key=lambda entry: entry[0])
         nearer = [self._nearer(name, place) for _, name, place in gone[:MAX_SEGMENTS]]
         nearer.sort(key=lambda entry: _part(entry[1]))
-        found = (self._replayed(name, place) for name, place in nearer)
-        nearest = next((start for start in found if start is not None), None)
+        replays = (self._replayed(name, place) for name, place in nearer)
+        nearest = next((start for start in replays if start is not None), None)
         return LostStarts(self.box, self.runs, self.lost, nearest, self.largest)
 
     def _nearer(self, name: str, place: np.ndarray) -> tuple[str, np.ndarray]:

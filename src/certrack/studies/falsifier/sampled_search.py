@@ -45,7 +45,7 @@ MAX_SIGNED_SENSORS = 2
 
 #: Size of the first steps of the random search over the ranges, and of the smallest; a step that
 #: helps makes the next one longer by this factor, and four that do not make it as much shorter.
-FIRST_STEP, SMALLEST_STEP, STEP_GROWTH = 0.2, 1e-3, 1.5
+WIDEST_MOVE, FINEST_MOVE, STEP_GROWTH = 0.2, 1e-3, 1.5
 
 #: How often another pattern of sensor errors is tried.
 OTHER_SENSORS = 0.2
@@ -81,8 +81,8 @@ def guarantee_as_sampled(
     progress : callable
     """
     first = next((v for v in methods.proofs.get("bootstrap", ()) if isinstance(v, Proof)), None)
-    found, proof = certify_sampled_adaptive(system, effort, first, progress)
-    certificate: Certificate = found
+    certificate: Certificate
+    certificate, proof = certify_sampled_adaptive(system, effort, first, progress)
     broken = [p for p in contradicted(premises(system)) if p.name != CONTINUOUS_LAW]
     if broken and certificate.exists:
         reason = f"a premise is contradicted: {broken[0].detail}"
@@ -94,7 +94,7 @@ def attack_as_implemented(
     system: System,
     guarantee: SampledGuarantee,
     cases: Mapping[str, System],
-    found: tuple[AdversarialLoop, np.ndarray] | None,
+    seeded: tuple[AdversarialLoop, np.ndarray] | None,
     budget: int,
     seed: int,
     progress: Progress,
@@ -108,7 +108,7 @@ def attack_as_implemented(
     guarantee : SampledGuarantee
     cases : mapping of str to System
         Of the continuous law, by origin.
-    found : pair of AdversarialLoop and array, or None
+    seeded : pair of AdversarialLoop and array, or None
         The best point of the continuous search.
     budget, seed : int
         Of the continuous search.
@@ -126,8 +126,8 @@ def attack_as_implemented(
     search = _SampledSearch(guarantee.proof, lambda worst: progress(budget, budget, worst))
     for case in cases.values():
         search.replay(case.replace(implementation=errors) for errors in sensors)
-    if found is not None:
-        search.spend(*found, sensors, budget // RUNS_PER_SAMPLED_RUN, np.random.default_rng(seed))
+    if seeded is not None:
+        search.spend(*seeded, sensors, budget // RUNS_PER_SAMPLED_RUN, np.random.default_rng(seed))
     if search.best is None:
         raise NothingTried("no case found can be written as a sampled system")
     case, run, error = search.best
@@ -176,7 +176,7 @@ class _SampledSearch:
         if runs < len(sensors):
             return
         simulators = [self._simulator(loop, point, drive) for drive in sensors]
-        step, at, chosen, worst = FIRST_STEP, point, 0, -1.0
+        step, at, chosen, worst = WIDEST_MOVE, point, 0, -1.0
         for i in range(runs):
             first = i < len(sensors)
             moved = 0.0 if first else step * rng.normal(size=len(at))
@@ -190,7 +190,7 @@ class _SampledSearch:
             if better:
                 at, chosen, worst = place, k, error
             step = step * STEP_GROWTH if better else step * STEP_GROWTH**-0.25
-            step = float(np.clip(step, SMALLEST_STEP, FIRST_STEP))
+            step = float(np.clip(step, FINEST_MOVE, WIDEST_MOVE))
             self._tell(max(worst, 0.0 if self.best is None else self.best[2]))
         self.replay([loop.case(at).replace(implementation=sensors[chosen])])
 
