@@ -157,7 +157,7 @@ class _SampledSearch:
         for case in cases:
             try:
                 placed = self._placed(case)
-                self._look(placed, simulate(placed))
+                self._compare(placed, simulate(placed))
             except InputError:  # beyond what a system may be, such as too many samples
                 continue
 
@@ -199,7 +199,7 @@ class _SampledSearch:
     ) -> SampledSimulator:
         return SampledSimulator(self._placed(loop.named_case(point).replace(implementation=drive)))
 
-    def _look(self, case: System, run: Run) -> None:
+    def _compare(self, case: System, run: Run) -> None:
         self.runs += 1
         error = tail_error(run)
         if self.best is None or error > self.best[2]:
