@@ -77,6 +77,9 @@ from .studies.ensembles.ensemble import ensemble as ensemble
 from .studies.ensembles.members import member as member
 from .studies.falsifier.falsify import Falsification as Falsification
 from .studies.falsifier.falsify import falsify as falsify
+from .studies.falsifier.lost_starts import LostStart as LostStart
+from .studies.falsifier.lost_starts import LostStarts as LostStarts
+from .studies.falsifier.lost_starts import lost_starts as lost_starts
 from .studies.margins import Margin as Margin
 from .studies.margins import Margins as Margins
 from .studies.margins import margins as margins

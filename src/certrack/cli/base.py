@@ -140,3 +140,20 @@ def diagnose(runs: Mapping[str, Run]) -> None:
             click.echo(f"certrack: {of}stopped at t = {t:.6g} s: {run.message}", err=True)
     if any(run.outcome.name != "finished" for run in runs.values()):
         raise click.exceptions.Exit(1)
+
+
+def box_of(text: str | None) -> list[tuple[float, float]] | None:
+    """Pairs of ends of an option --box; their order and number are checked later."""
+    if text is None:
+        return None
+    pairs: list[tuple[float, float]] = []
+    for part in text.split(","):
+        ends: Sequence[str] = part.split(":")
+        try:
+            low, high = map(float, ends)
+        except ValueError:
+            raise InputError(
+                "--box", "must be low:high for each state, such as -1:1,-2:2", text
+            ) from None
+        pairs.append((low, high))
+    return pairs

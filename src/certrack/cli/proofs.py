@@ -18,6 +18,7 @@ from certrack.cli.base import (
 )
 from certrack.cli.pictures import picture_options
 from certrack.cli.premises import note_contradictions, say_contradicted
+from certrack.cli.starts import search_starts
 from certrack.core.errors import InputError
 from certrack.reports.premises import premise_lines
 
@@ -219,23 +220,52 @@ def verify(certificate: Path, as_json: bool) -> None:
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the search."
 )
+@click.option(
+    "--starts",
+    is_flag=True,
+    help="Search a start of the box from which the loop escapes instead; a tenth of the runs.",
+)
+@click.option(
+    "--box",
+    metavar="LOW:HIGH,...",
+    help="With --starts: the box, one range a state; default: ensemble.x0.",
+)
 @json_option
-def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) -> None:
+def falsify(
+    file: str,
+    out: Path | None,
+    budget: int,
+    seed: int,
+    starts: bool,
+    box: str | None,
+    as_json: bool,
+) -> None:
     """Search for the worst admissible case.
 
     Disturbance, reference and parameters are varied within what the certificate covers; the file's
     own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
     give another, at the corners of plant.ranges; where it is not, an ascent by its adjoint does.
     With [implementation] there is also one of the sampled loop with the worst noise, which --out
-    FILE.toml writes as FILE-drive.toml.
+    FILE.toml writes as FILE-drive.toml; the adaptive law is searched on that loop.
 
     The worst error found is compared with every certificate: the ratio of bound to error tells how
     tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
     is broken, or certrack is wrong. The paper's bound, whose proof has a gap, may be exceeded.
 
+    With --starts the loop of the file, as implemented where it has [implementation], begins at
+    corners of the box, at random places and around the worst of them, under the file's own
+    disturbances and under ones at their bounds: is there a start that it does not bring back? The
+    nearest that is found is written by --out. That none is found proves nothing.
+
     \b
     Example: certrack falsify example1 --out worst.toml
+    Example: certrack falsify dual-motor-drag --starts --box=-12:12,-12:12,-12:12,-12:12
     """
+    if box is not None and not starts:
+        raise InputError("--box", "is of the starts that --starts searches", box, "Add --starts")
+    if starts:
+        search_starts(file, out, budget, seed, box, as_json=as_json)
+        return
     from certrack.cli import console
     from certrack.core.rounding import printed_bound
     from certrack.reports import falsification as falsified

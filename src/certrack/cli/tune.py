@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from certrack.cli.base import (
     FOLDER,
     MEMBER_SEED,
     NEW_FILE,
+    box_of,
     json_option,
     keep_source,
     naming,
@@ -100,7 +101,7 @@ def _tuned(
         _require_room(out, file, source)
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
-    wanted["box"] = _box_of(wanted["box"])
+    wanted["box"] = box_of(wanted["box"])
     then = "" if system.implementation is None else "now as the drive runs it"
     with options_named(TUNE_OPTIONS), naming(file, "law", "tune"), console.phases() as bars:
         result = search_gains(
@@ -142,23 +143,6 @@ def _require_room(out: Path, file: str, source: str) -> None:
             samples,
             f"Choose a name in {Path(file).parent}",
         )
-
-
-def _box_of(text: str | None) -> list[tuple[float, float]] | None:
-    """Pairs of ends; the sign and the number of states are checked later."""
-    if text is None:
-        return None
-    pairs: list[tuple[float, float]] = []
-    for part in text.split(","):
-        ends: Sequence[str] = part.split(":")
-        try:
-            low, high = map(float, ends)
-        except ValueError:
-            raise InputError(
-                "--box", "must be low:high for each state, such as -1:1,-2:2", text
-            ) from None
-        pairs.append((low, high))
-    return pairs
 
 
 #: Arguments of certrack.tune that are options of the verb.

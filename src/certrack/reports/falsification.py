@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from certrack.core.rounding import printed_bound
@@ -11,7 +11,9 @@ from certrack.reports.tables import Table, table
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate
-    from certrack.studies.falsifier.falsify import DriveFalsification, Falsification
+    from certrack.studies.falsifier.drive import DriveFalsification
+    from certrack.studies.falsifier.falsify import Falsification
+    from certrack.studies.falsifier.lost_starts import LostStarts
 
 
 def falsification_summary(result: Falsification) -> dict[str, Any]:
@@ -54,6 +56,7 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
         "reason": drive.certificate.reason or None,
         "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
         "first_escape": _of_escape(drive),
+        "runs": drive.runs,
     }
 
 
@@ -68,13 +71,14 @@ def _of_escape(drive: DriveFalsification) -> dict[str, Any] | None:
 
 def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     """The same in words."""
-    rounding = "with the sensors' rounding at its worst"
+    estimate = math.nan if drive["estimate"] is None else drive["estimate"]
+    of_rounding = f"with the sensors' rounding at its worst, by the linear loop: {estimate:.6g}"
     certified = printed_bound(drive["certified"])
     if not drive["verified"]:
         certified += f" (not verified: {drive['reason']})"
     lines = [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
-        f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
+        *([] if drive["estimate"] is None else [of_rounding]),
         f"as implemented, certified limsup |e_1|: {certified}",
     ]
     if (escape := drive["first_escape"]) is not None:
@@ -113,3 +117,57 @@ def falsification_table(entries: Mapping[str, Mapping[str, Any]]) -> Table:
         if entry["bound"] is not None and math.isfinite(entry["bound"])
     ]
     return table("", ["certificate", "bound", "verified", "ratio", "note"], rows)
+
+
+#: Under which uncertain terms a start is lost, in words.
+PATTERN_WORDS = {
+    "own": "the file's own disturbances",
+    "+": "every uncertain term at its upper bound",
+    "-": "every uncertain term at its lower bound",
+    "outward": "every uncertain term at its bound, with the sign of its state",
+}
+
+
+def lost_starts_summary(searched: LostStarts) -> dict[str, Any]:
+    """What a search of lost starts gave, ready for JSON."""
+    start = searched.nearest
+    return {
+        "box": [list(ends) for ends in searched.box],
+        "runs": searched.runs,
+        "lost": searched.lost,
+        "largest_state": searched.largest,
+        "nearest": None
+        if start is None
+        else {
+            "x0": list(start.x0),
+            "part": start.part,
+            "under": start.pattern,
+            "outcome": start.outcome,
+            "time": start.time,
+        },
+    }
+
+
+def lost_starts_lines(values: Mapping[str, Any], states: Sequence[str]) -> list[str]:
+    """The same in words."""
+    ends = ", ".join(
+        f"{name} in [{low:g}, {high:g}]"
+        for name, (low, high) in zip(states, values["box"], strict=True)
+    )
+    nearest, runs = values["nearest"], values["runs"]
+    if nearest is None:
+        return [
+            f"no start of the box is lost in {runs} runs: {ends}",
+            f"largest state of them: {values['largest_state']:.6g}; finding none proves nothing",
+        ]
+    x0 = ", ".join(
+        f"{name} = {value:.10g}" for name, value in zip(states, nearest["x0"], strict=True)
+    )
+    ended = f"{nearest['outcome']} at t = {nearest['time']:.4g}"
+    return [
+        f"lost start: {x0}",
+        f"under {PATTERN_WORDS[nearest['under']]}: {ended}",
+        f"of the box {ends}: {nearest['part']:.3g} of the way from its middle to its end, the "
+        "nearest found",
+        f"{values['lost']} of {runs} runs were lost",
+    ]

@@ -43,7 +43,7 @@ from certrack.certificates.sampled_adaptive.ball_rows import (
 )
 from certrack.certificates.sampled_adaptive.held import HeldLaw
 from certrack.certificates.sampled_adaptive.paces import Paces, image, least_law
-from certrack.core.kinks import JUMPING
+from certrack.core.kinks import JUMPING, derivative
 
 #: Parts of a box at most: for what is bounded at all times, and for the rate of the law where the
 #: estimates move with it.
@@ -87,7 +87,7 @@ class LoopRates:
         try:
             self._values = Tape(known, formulas.states)
             self._slopes = [
-                Tape([formula.diff(state) for state in formulas.states], formulas.states)
+                Tape([derivative(formula, state) for state in formulas.states], formulas.states)
                 for formula in known
             ]
         except ValueError as problem:

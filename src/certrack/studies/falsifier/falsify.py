@@ -17,85 +17,44 @@ from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.certify import EFFORTS
-from certrack.certificates.implemented.certify import certify_implemented
-from certrack.certificates.implemented.premises import premises_as_implemented
-from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.methods import METHOD_STEPS, Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.kinks import JUMPING
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
-from certrack.integrators.base import Outcome
+from certrack.laws.adaptive import Adaptive
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.ascent.search import ascend
-from certrack.studies.falsifier.escape import Escape, first_escape
+from certrack.studies.falsifier.drive import (
+    BEYOND_IMPLEMENTED,
+    DriveFalsification,
+    attacked_by_kernels,
+    ending_of,
+)
 from certrack.studies.falsifier.evolution import Search
 from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
     NothingTried,
     continuous_case,
-    sampled_case,
     tail_error,
 )
 from certrack.studies.falsifier.loop import AdversarialLoop
+from certrack.studies.falsifier.sampled_search import (
+    attack_as_implemented,
+    guarantee_as_sampled,
+)
 from certrack.systems.system import System, require_system
 
 #: Runs of a search that is asked for by mistake would take years.
 MAX_BUDGET = 10**9
 
-
-@dataclass(frozen=True)
-class DriveFalsification:
-    """The worst case found of the loop as it is implemented.
-
-    Attributes
-    ----------
-    worst_error : float
-        Largest |e_1| of its last part, by the ordinary sampled simulation; inf if it escapes.
-    estimate : float
-        The same by the linear loop, where the sensors' rounding is the worst error of half a step.
-    system : System
-        Replays it.
-    stopped : str or None
-        How the run ended, where it did not reach its end.
-    certificate : Certificate
-        Of the loop as it is implemented; not verified if a premise is contradicted.
-    limited : bool
-        Whether the input may have met its limits, or the run begins where nothing is certified: the
-        certificate is not for such a run, which begins elsewhere than the file's.
-    escape : Escape or None
-        Where a bound of w grows faster than the state: the nearest start found from which the
-        states escape.
-    """
-
-    worst_error: float
-    estimate: float
-    system: System
-    stopped: str | None
-    certificate: Certificate
-    limited: bool = False
-    escape: Escape | None = None
-
-    @property
-    def exceeds(self) -> bool:
-        """Whether the case is beyond a verified bound: then certrack is wrong."""
-        if self.certificate.verified and self.escape is not None and self.escape.within:
-            return True
-        beyond = self.certificate.verified and self.worst_error > self.certificate.bound
-        return beyond and not self.limited
-
-
-#: What an alarm of the sampled loop says.
-BEYOND_IMPLEMENTED = (
-    "the worst case of the loop as implemented is beyond its certificate: certrack itself is "
-    "wrong; please report this file"
-)
 
 #: Where a worst case comes from.
 SEARCH, OWN, KERNELS, ASCENT = "search", "own", "kernels", "ascent"
@@ -216,16 +175,23 @@ def falsify(
     methods = every_certificate(system, effort, lambda k, _, bound: certifying(k, steps, bound))
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
-    drive = linear = None
+    drive = linear = guarantee = None
     if system.implementation is not None:
         try:
-            drive = _of_drive(
+            drive = attacked_by_kernels(
                 system, bounds, effort, lambda _, __, bound: certifying(METHOD_STEPS, steps, bound)
             )
         except NothingTried as refusal:
             left_out["drive"] = str(refusal)
+            if isinstance(system.law, Adaptive):  # its loop is searched as it runs
+                guarantee = guarantee_as_sampled(
+                    system,
+                    methods,
+                    effort,
+                    lambda _, __, bound: certifying(METHOD_STEPS, steps, bound),
+                )
     progress(0, budget, None)
-    system = system.replace(implementation=None)
+    implemented, system = system, system.replace(implementation=None)
     try:
         case = estimated_case if is_estimated(system) else continuous_case
         linear = case(system, bounds)
@@ -252,6 +218,15 @@ def falsify(
             cases[ASCENT], runs[ASCENT] = ascent.case.system, ascent.case.run
         except NothingTried as refusal:
             left_out[ASCENT] = str(refusal)
+    if guarantee is not None:
+        seeded = None if search is None else (search.loop, best)
+        try:
+            drive = attack_as_implemented(
+                implemented, guarantee, cases, seeded, budget, seed, progress
+            )
+            del left_out["drive"]
+        except NothingTried as refusal:
+            left_out["drive"] = str(refusal)
     errors = {origin: tail_error(run) for origin, run in runs.items()}
     worst = max(errors, key=lambda origin: errors[origin])
     against, stages = methods.best, methods.stages
@@ -273,7 +248,7 @@ def falsify(
         "" if raised is None else raised.reason,
         own_run=worst == OWN,
         origin=worst,
-        stopped=_stopped(runs[worst]),
+        stopped=ending_of(runs[worst]),
         drive=drive,
         left_out=left_out,
     )
@@ -282,14 +257,24 @@ def falsify(
 def _search(
     system: System, linear: LinearCase | None, budget: int, progress: Progress
 ) -> Search | None:
-    """The search; None for a plant or law with a sign or a kink, where there is a linear case."""
+    """The search; None for a plant or law that is not smooth, where something else is tried.
+
+    That is the linear case, or the ascent, which follows the adaptive law across kinks.
+    """
     Adversary.against(system)  # refuses names of the user
     try:
         return Search(AdversarialLoop(system, budget), budget, progress)
     except InputError:
-        if linear is None:
+        if linear is None and not _has_kinks_only(system):
             raise
         return None
+
+
+def _has_kinks_only(system: System) -> bool:
+    """Whether the loop is that of the adaptive law, and nothing of it jumps."""
+    formulas = (system.plant.drift, *system.plant.regressor)
+    jumps = any(formula.expr.has(*JUMPING) for formula in formulas)
+    return isinstance(system.law, Adaptive) and not jumps
 
 
 def _worst_member(system: System, linear: LinearCase | None) -> System:
@@ -300,44 +285,6 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     constants, theta = member.constants, member.theta
     truth = replace(system.truth, constants=constants, theta=theta, input_gain=member.input_gain)
     return system.replace(truth=truth)
-
-
-def _of_drive(
-    system: System, bounds: tuple[float, ...], effort: str, certifying: Progress
-) -> DriveFalsification:
-    """The worst case of the loop as it is implemented, and its certificate."""
-    case = sampled_case(system, bounds)
-    implemented, proofs = certify_implemented(system, effort=effort, progress=certifying)
-    certificate: Certificate = implemented
-    broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
-    if broken and certificate.exists:
-        reason = f"a premise is contradicted: {broken[0].detail}"
-        certificate = replace(certificate, verified=False, reason=reason)
-    run, escape, limited = case.run, None, _may_be_limited(system, case.run)
-    if is_regional(system):
-        escape = first_escape(system, bounds, implemented.polytope)
-        within = (
-            implemented.polytope is not None and case.system.settings.x0 in implemented.polytope
-        )
-        limited = limited or not within
-    return DriveFalsification(
-        case.error, case.estimate, case.system, _stopped(run), certificate, limited, escape
-    )
-
-
-def _may_be_limited(system: System, run: Run) -> bool:
-    """Whether the input of a run may have met limits that the file has."""
-    drive = system.implementation
-    assert drive is not None
-    if drive.saturation is None:
-        return drive.rate_limit is not None
-    low, high = drive.saturation
-    within = bool((run.u > low).all() and (run.u < high).all())
-    return drive.rate_limit is not None or not within
-
-
-def _stopped(run: Run) -> str | None:
-    return None if run.outcome is Outcome.finished else run.outcome.name
 
 
 def _of_this_file(system: System, methods: Methods) -> dict[str, Certificate]:

@@ -98,6 +98,10 @@ class AdversarialLoop:
         """The system against the adversary with these numbers, written out."""
         return self._with(point, named=False)
 
+    def named_case(self, point: np.ndarray) -> System:
+        """The same with the numbers as constants: all such cases have the formulas of one loop."""
+        return self._with(point, named=True)
+
     def _with(self, point: np.ndarray, *, named: bool) -> System:
         draft, values = SystemDraft(self._system), point.tolist()
         for part, where in self.adversary.slices():

@@ -1,0 +1,115 @@
+"""The worst case found of the loop as it is implemented, and what it is held against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from certrack.certificates import Certificate
+from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.premises import premises_as_implemented
+from certrack.certificates.implemented.regional import is_regional
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
+from certrack.core.progress import Progress
+from certrack.integrators.base import Outcome
+from certrack.simulation.run import Run
+from certrack.studies.falsifier.escape import Escape, first_escape
+from certrack.studies.falsifier.linear.search import sampled_case
+from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class DriveFalsification:
+    """The worst case found of the loop as it is implemented.
+
+    Attributes
+    ----------
+    worst_error : float
+        Largest |e_1| of its last part, by the ordinary sampled simulation; inf if it escapes.
+    estimate : float or None
+        The same by the linear loop, where the sensors' rounding is the worst error of half a step;
+        None where the loop is not linear.
+    system : System
+        Replays it.
+    stopped : str or None
+        How the run ended, where it did not reach its end.
+    certificate : Certificate
+        Of the loop as it is implemented; not verified if a premise is contradicted.
+    limited : bool
+        Whether the input may have met its limits, or the run begins where nothing is certified: the
+        certificate is not for such a run, which begins elsewhere than the file's.
+    escape : Escape or None
+        Where a bound of w grows faster than the state: the nearest start found from which the
+        states escape.
+    runs : int
+        Runs of the search, where the loop is not linear.
+    """
+
+    worst_error: float
+    estimate: float | None
+    system: System
+    stopped: str | None
+    certificate: Certificate
+    limited: bool = False
+    escape: Escape | None = None
+    runs: int = 0
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the case is beyond a verified bound: then certrack is wrong."""
+        if self.certificate.verified and self.escape is not None and self.escape.within:
+            return True
+        beyond = self.certificate.verified and self.worst_error > self.certificate.bound
+        return beyond and not self.limited
+
+
+#: What an alarm of the sampled loop says.
+BEYOND_IMPLEMENTED = (
+    "the worst case of the loop as implemented is beyond its certificate: certrack itself is "
+    "wrong; please report this file"
+)
+
+
+def attacked_by_kernels(
+    system: System, bounds: tuple[float, ...], effort: str, certifying: Progress
+) -> DriveFalsification:
+    """The worst case of the linear loop as it is implemented, and its certificate.
+
+    Raises
+    ------
+    NothingTried
+        Where the loop is not linear or not stable, or nothing is found.
+    """
+    case = sampled_case(system, bounds)
+    implemented, proofs = certify_implemented(system, effort=effort, progress=certifying)
+    certificate: Certificate = implemented
+    broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
+    if broken and certificate.exists:
+        reason = f"a premise is contradicted: {broken[0].detail}"
+        certificate = replace(certificate, verified=False, reason=reason)
+    run, escape, limited = case.run, None, may_be_limited(system, case.run)
+    if is_regional(system):
+        escape = first_escape(system, bounds, implemented.polytope)
+        within = (
+            implemented.polytope is not None and case.system.settings.x0 in implemented.polytope
+        )
+        limited = limited or not within
+    return DriveFalsification(
+        case.error, case.estimate, case.system, ending_of(run), certificate, limited, escape
+    )
+
+
+def may_be_limited(system: System, run: Run) -> bool:
+    """Whether the input of a run may have met limits that the file has."""
+    drive = system.implementation
+    assert drive is not None
+    if drive.saturation is None:
+        return drive.rate_limit is not None
+    low, high = drive.saturation
+    within = bool((run.u > low).all() and (run.u < high).all())
+    return drive.rate_limit is not None or not within
+
+
+def ending_of(run: Run) -> str | None:
+    """How a run ended, where it did not reach its end."""
+    return None if run.outcome is Outcome.finished else run.outcome.name
