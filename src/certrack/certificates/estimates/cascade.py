@@ -227,6 +227,8 @@ def centred_cascade_estimate(
     if first is None:
         return None
     centred = stage.problems(design, first.P, first.bound)
+    if not math.isfinite(centred.remainder):
+        return None
     moved = [
         (stage.problems(above, *higher).at(shift), stage.problems(below, *lower).at(shift))
         for (above, below), (higher, lower) in zip(

@@ -11,6 +11,7 @@ optimum, differentiated implicitly (:func:`.last_digits.optimality`): with F(x, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -85,6 +86,8 @@ class CentredStage:
         law = problem.adaptation
         assert law is not None
         spreads = np.diagonal(problem.Xe @ np.linalg.solve(P, problem.Xe.T))
+        if not (spreads >= 0).all():  # P is lost in roundings: no set at all
+            return math.inf
         offsets = np.abs(problem.Xe @ coordinates.B) @ np.array(self.Y[: coordinates.q + 1])
         radii = bound * np.sqrt(spreads) + offsets
         box = {
@@ -158,8 +161,9 @@ class ReachedSet:
         pairs = []
         for above, below in changed:
             change = _solved(slopes, (residual(below) - residual(above)) / 2)[: len(point.x)]
-            pair = _set_of(program, above, point.x + change), _set_of(
-                program, below, point.x - change
+            pair = (
+                _set_of(program, above, point.x + change),
+                _set_of(program, below, point.x - change),
             )
             pairs.append(pair)
         return cls(*found, pairs)

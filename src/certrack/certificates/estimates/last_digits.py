@@ -35,7 +35,6 @@ def with_last_digits(
     x, z : arrays
         What a solver found.
     """
-    _, matrix, right = program
     residual = optimality(program, sizes, x, z)
     for _ in range(NEWTON_STEPS):
         try:
