@@ -19,7 +19,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import SHIFT_DIGITS, head_problem
 from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.estimates.centred_stage import CentredStage, Design, ReachedSet
+from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
 from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.formulation import error_problem
@@ -189,10 +189,10 @@ def cascade_estimate(
 
 def centred_cascade_estimate(
     stage: CentredStage,
-    design: Design,
+    design: StageDesign,
     shares: tuple[float, float, float],
     shift: float,
-    changed: Sequence[tuple[Design, Design]] = (),
+    changed: Sequence[tuple[StageDesign, StageDesign]] = (),
     step: float = 1.0,
 ) -> CascadeEstimate | None:
     """The same with a centred stage between the two; None if one of the three has no solution.
@@ -201,13 +201,13 @@ def centred_cascade_estimate(
     ----------
     stage : CentredStage
         Of the plant and the reference.
-    design : Design
+    design : StageDesign
         In floats, with estimates, n >= 2.
     shares : three floats
         Below 1, of the stages in their order.
     shift : float
         kappa of the centred one.
-    changed : pairs of Design
+    changed : pairs of StageDesign
         With each parameter a step above and below.
     step : float
         Of these, in logarithms.

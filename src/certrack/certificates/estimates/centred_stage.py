@@ -4,7 +4,7 @@ Its data are those of the stage before but for the bound on zeta, which is that 
 e^T P e <= E^2: they change with a gain, with E, and with P. The first program has many optimal P
 where a part of P acts on no active constraint; the largest of them has the smallest set, and a
 small reward for the trace of P singles it out. Its gradient follows from the equations of the
-optimum, differentiated implicitly (:func:`.last_digits.optimality`): with F(x, z; v) = 0,
+optimum, differentiated implicitly (:func:`.last_digits.optimality_residual`): with F(x, z; v) = 0,
 
     d(x, z) = -(dF/d(x, z))^-1 dF
 """
@@ -19,7 +19,7 @@ import numpy as np
 import sympy
 
 from certrack.certificates.centred import CentredProblems, bounds_needed
-from certrack.certificates.estimates.last_digits import optimality, optimality_slopes
+from certrack.certificates.estimates.last_digits import optimality_residual, optimality_slopes
 from certrack.certificates.estimates.recentred import about_itself
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram
@@ -30,7 +30,7 @@ from certrack.laws.backstepping import ErrorCoordinates
 from certrack.systems.system import System
 
 #: A design as this stage needs it: its error system and its recursion.
-Design = tuple[ErrorProblem, ErrorCoordinates]
+StageDesign = tuple[ErrorProblem, ErrorCoordinates]
 
 #: What the trace of P is worth, in units of the program: the bound is larger by about its square.
 TRACE_REWARD = 1e-4
@@ -73,14 +73,14 @@ class CentredStage:
         drift = put_in(plant.drift.expr, exact)
         return cls(drift, regressor, tuple(plant.symbols), tuple(map(float, Y)))
 
-    def problems(self, design: Design, P: np.ndarray, bound: float) -> CentredProblems:
+    def problems(self, design: StageDesign, P: np.ndarray, bound: float) -> CentredProblems:
         """Those of a design, on the set e^T P e <= bound^2; of floats, so nothing is proven."""
         problem, coordinates = design
         remainder = self.remainder(design, P, bound)
         centred = CentredProblems.of_design(problem, coordinates, list(self.Y), remainder)
         return centred.in_floats()
 
-    def remainder(self, design: Design, P: np.ndarray, bound: float) -> float:
+    def remainder(self, design: StageDesign, P: np.ndarray, bound: float) -> float:
         """The bound on |h - phi^T theta_tilde| there; inf where nothing is known."""
         problem, coordinates = design
         law = problem.adaptation
@@ -145,8 +145,8 @@ class ReachedSet:
         here = program.numbers(alpha)
         assert here is not None
         unit = float(cost.max() / (here[0].max() or 1.0))
-        found = _set_of(program, rated, point.x)
-        if not found[1] > 0:
+        P, bound = _set_of(program, rated, point.x)
+        if not bound > 0:
             return None
         sizes = problem.n + sum(problem.counts), problem.n
         slopes = optimality_slopes((point.cost, *here[1:]), sizes, point.x, point.z)
@@ -156,17 +156,19 @@ class ReachedSet:
             if numbers is None:
                 return np.full(len(slopes), np.nan)
             moved = numbers[0] * unit - reward, *numbers[1:]
-            return optimality(moved, sizes, point.x, point.z)
+            return optimality_residual(moved, sizes, point.x, point.z)
 
         pairs = []
         for above, below in changed:
-            change = _solved(slopes, (residual(below) - residual(above)) / 2)[: len(point.x)]
+            change = _balanced_solution(slopes, (residual(below) - residual(above)) / 2)[
+                : len(point.x)
+            ]
             pair = (
                 _set_of(program, above, point.x + change),
                 _set_of(program, below, point.x - change),
             )
             pairs.append(pair)
-        return cls(*found, pairs)
+        return cls(P, bound, pairs)
 
 
 def _set_of(program: SemidefiniteProgram, rated: Rated, x: np.ndarray) -> tuple[np.ndarray, float]:
@@ -178,7 +180,7 @@ def _set_of(program: SemidefiniteProgram, rated: Rated, x: np.ndarray) -> tuple[
     return solution.P, solution.bound
 
 
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _balanced_solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The solution where rows and columns differ by powers of ten, as entries of P and w do."""
     columns = np.abs(matrix).max(axis=0) + np.finfo(float).tiny
     rows = np.abs(matrix / columns).max(axis=1) + np.finfo(float).tiny

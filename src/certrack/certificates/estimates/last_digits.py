@@ -35,21 +35,21 @@ def with_last_digits(
     x, z : arrays
         What a solver found.
     """
-    residual = optimality(program, sizes, x, z)
+    residual = optimality_residual(program, sizes, x, z)
     for _ in range(NEWTON_STEPS):
         try:
             step = np.linalg.solve(optimality_slopes(program, sizes, x, z), -residual)
         except np.linalg.LinAlgError:
             break
         nearer = x + step[: len(x)], z + step[len(x) :]
-        after = optimality(program, sizes, *nearer)
+        after = optimality_residual(program, sizes, *nearer)
         if not np.linalg.norm(after) < LEFT_AFTER_STEP * np.linalg.norm(residual):
             break
         (x, z), residual = nearer, after
     return x, z
 
 
-def optimality(
+def optimality_residual(
     program: tuple[np.ndarray, np.ndarray, np.ndarray],
     sizes: Sequence[int],
     x: np.ndarray,
@@ -73,7 +73,7 @@ def optimality_slopes(
     x: np.ndarray,
     z: np.ndarray,
 ) -> np.ndarray:
-    """The derivatives of :func:`optimality` by x and z."""
+    """The derivatives of :func:`optimality_residual` by x and z."""
     _, matrix, right = program
     by_x = -_product(sizes, z, matrix)
     by_z = _product(sizes, right - matrix @ x, np.eye(len(z)))
