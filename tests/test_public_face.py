@@ -60,7 +60,7 @@ def test_mypy_knows_the_types_of_a_users_program(tmp_path):
         'certrack.export_st(system, "drive.st")': "pathlib.Path",
         "certrack.plot(system)": "matplotlib.figure.Figure",
         "certrack.reproduce().claims": "certrack.papers.liu2025.claim.Claim, ...]",
-        'certrack.certificates.verify("cert.json")': "certrack.certificates.document.Verdict",
+        'certrack.certificates.verify("cert.json")': "certrack.certificates.verification.Verdict",
         "certrack.references.steps((1.0,), (0.0, 1.0), 0.5)": "PiecewiseReference",
         "certrack.__version__": "str",
     }
