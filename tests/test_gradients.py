@@ -12,11 +12,15 @@ import pytest
 from test_tuning import GRADIENT, agree, candidate_of, random_system
 
 import certrack
-from certrack.certificates.estimates.cascade import cascade_estimate
+from certrack.certificates.arithmetic import decimal, rational
+from certrack.certificates.centred import CentredProblems
+from certrack.certificates.estimates.cascade import cascade_estimate, centred_cascade_estimate
+from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet
 from certrack.certificates.estimates.dual import semidefinite_estimate
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 from certrack.tuning import ranged as ranged_room
 from certrack.tuning.candidate import DIFFERENCE, Candidate
@@ -111,6 +115,74 @@ def test_cascade(n):
     assert agree(found.log_gradient, differences(log_bound, v))
     by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
     np.testing.assert_allclose(found.by_log_shares, by_shares, atol=1e-6)
+
+
+def centred_designs(n, seed=2):
+    """The centred stage of a random plant, its designs as a function, and where they begin."""
+    point = candidate_of(random_system(seed, n, "adaptive"))
+    quantity = SemidefiniteError(point.base)
+
+    def design(v):
+        candidate = Candidate(point.family, point.base, np.append(v, 0.0))
+        return quantity.problem(candidate), candidate.design
+
+    return CentredStage.of(point.base), design, point.v[:-1]
+
+
+@pytest.mark.parametrize("shift", [0.03, -0.02])
+@pytest.mark.parametrize("n", [2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5))])
+def test_cascade_with_a_centred_stage(n, shift):
+    """For n = 3 and more the first program has many optimal P, of which the largest counts.
+
+    At n = 6 these plants' P is solved for to 1e-3 only: there is no difference to compare with.
+    """
+    stage, design, v = centred_designs(n)
+    shares = SHARE, HEAD_SHARE, HEAD_SHARE
+
+    def log_bound(v, shares=shares, shift=shift):
+        return math.log(centred_cascade_estimate(stage, design(v), shares, shift).bound)
+
+    pairs = beside(design, v)
+    found = centred_cascade_estimate(stage, design(v), shares, shift, pairs, DIFFERENCE)
+    expected = differences(log_bound, v)
+    accuracy = 1e-5 if n < 4 else GRADIENT
+    assert np.abs(found.log_gradient - expected).max() < accuracy * np.abs(expected).max()
+    by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
+    np.testing.assert_allclose(found.by_log_shares, by_shares, atol=2e-6)
+    sign = math.copysign(1, shift)
+    (by_shift,) = differences(
+        lambda s: log_bound(v, shares, sign * math.exp(s[0])), np.log([abs(shift)])
+    )
+    assert found.by_log_shift == pytest.approx(by_shift, abs=2e-6)
+
+
+def test_centred_problems_are_those_of_the_certificate():
+    """Of the set that the cascade of Example 1 has proven, with its kappa and alpha."""
+    system = certrack.load("example1")
+    exact = error_problem(system, rational)
+    reached, proof, _ = certrack.certify(system, "fast").cascade_proof
+    expected = CentredProblems.of(system, exact, reached).in_floats()
+    design = error_problem(system, decimal), system.controller.coordinates
+    P = np.array([[float(v) for v in row] for row in reached.P])
+    found = CentredStage.of(system).problems(design, P, float(reached.bound))
+    assert found.remainder == pytest.approx(expected.remainder, rel=1e-9)
+    for name in ("row", "columns", "residual", "Xy"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    problem = found.at(float(proof.shift))
+    share = float(proof.alpha) / fastest_rate(problem)
+    bound = semidefinite_estimate(problem, share, target=problem.n - 1).bound
+    assert bound == pytest.approx(float(proof.bound), rel=1e-6)
+
+
+def test_the_largest_set_costs_next_to_nothing_and_is_no_larger():
+    """e^T P e <= E^2: a larger P has a smaller set, and E is that of the best P to 1e-5."""
+    _, design, v = centred_designs(3)
+    problem = design(v)[0]
+    best = semidefinite_estimate(problem, SHARE, target=2)
+    largest = ReachedSet.of((problem, best.alpha))
+    P = best.program.solution(best.point, best.alpha).P
+    assert best.bound * (1 - 1e-9) <= largest.bound <= best.bound * (1 + 1e-5)
+    assert np.trace(largest.P[:2, :2]) > 1.01 * np.trace(P[:2, :2])
 
 
 @pytest.mark.parametrize("kind", ["robust", "linear"])

@@ -617,6 +617,7 @@ def test_command_line(tmp_path, capsys):
         "bound": found["implemented"]["bound"],
         "verified": True,
         "loop": "implemented",
+        "starts": "every start",
     }
     assert len(found["implemented"]["states"]) == 4 and found["implemented"]["peak_input"] < 0.4
     assert "ship with implemented" in command(capsys, "certify", file)[1]

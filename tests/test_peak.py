@@ -196,7 +196,9 @@ def test_command_line(capsys, tmp_path):
     assert shown["peak"]["alpha"] is None and shown["tube"]["kind"] == "semidefinite"
     with pytest.raises(SystemExit, match="0"):
         main(["verify", str(path), "--json"])
-    assert json.loads(capsys.readouterr().out)["bound"] == "0.00128736737046"
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["bound"] == "0.00128736737046"
+    assert shown["best"]["starts"] == verdict["starts"] == "every start"
 
 
 # ---- attacks -------------------------------------------------------------------------------------

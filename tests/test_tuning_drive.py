@@ -11,9 +11,11 @@ from test_cli import invoke
 import certrack
 from certrack.laws.observer import Observer
 from certrack.loops.stability import linear_loop
+from certrack.reports.tuning import tuned_notes
 from certrack.systems.edit import with_law
 from certrack.tuning import tune as module
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.certified import certified_or_why
 from certrack.tuning.companion import companion, is_memoryless, with_law_of
 from certrack.tuning.drive_family import DriveFamily
 from certrack.tuning.exceeded import broken_limits
@@ -24,6 +26,7 @@ from certrack.tuning.problem import Requirements
 from certrack.tuning.quantities import Largest, NoiseGain, PeakGainError
 from certrack.tuning.ranged import RangedError
 from certrack.tuning.responses import Grid
+from certrack.tuning.result import Tuned
 from certrack.tuning.sampled_responses import SampledPlant, input_plant
 from certrack.tuning.stability import DelayEdge, EstimatesPeriod
 from certrack.tuning.stages import searches_of
@@ -312,3 +315,20 @@ def test_an_observer_and_an_integral_are_tuned_within_the_peak_of_the_sampled_lo
     assert found.after.peak_input <= 40.0 < found.before.peak_input
     assert found.system.law.integral != 3.0
     assert found.after.method == "implemented"
+
+
+@pytest.mark.parametrize(
+    ("name", "starts"),
+    [
+        ("dual-motor-drive", "from x0 and the proven polytope"),
+        ("dual-motor-drag", "from x0 and the box of starts"),
+        ("dual-motor-lean", ""),
+    ],
+)
+def test_a_bound_from_some_starts_says_so(name, starts):
+    proven = certified_or_why(certrack.load(name))
+    assert proven.best.verified and proven.starts == starts
+    figures = replace(UNMEASURED, certified=proven.best.bound, starts=proven.starts)
+    tuned = Tuned(certrack.load(name), "error", UNMEASURED, figures, (), (), 1, (1,), 0)
+    told = [line for line in tuned_notes(tuned) if "holds" in line]
+    assert told == ([f"the certified error after holds {starts}"] if starts else [])

@@ -33,6 +33,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.magnitudes import largest_magnitudes
 from certrack.core.powers import put_in
+from certrack.laws.backstepping import ErrorCoordinates
 from certrack.systems.system import System
 
 
@@ -81,8 +82,25 @@ class CentredProblems:
             If drift and regressor have no interval bound on that set.
         """
         coordinates = error_coordinates(system, rational)
-        q, zero = coordinates.q, rational(0)
-        AB, Y = reference_part(system, problem)
+        _, Y = reference_part(system, problem)
+        return cls.of_design(problem, coordinates, Y, RemainderBound(system, problem)(reached))
+
+    @classmethod
+    def of_design(
+        cls, problem: ErrorProblem, coordinates: ErrorCoordinates, Y: list[Any], remainder: Any
+    ) -> CentredProblems:
+        """Those of a design, in the arithmetic of its numbers.
+
+        Parameters
+        ----------
+        problem : ErrorProblem
+        coordinates : ErrorCoordinates
+        Y : numbers
+            Bounds of y_d ... y_d^(q+1).
+        remainder : number
+            Bound on zeta, for each kappa.
+        """
+        q, zero, AB = coordinates.q, 0 * Y[0], problem.Xe @ coordinates.B
         Xy = np.zeros((problem.n, q + 2), dtype=object) + zero
         Xy[:, : q + 1] = AB * np.array(Y[: q + 1], dtype=object)
         through_x = np.append(coordinates.nu_x @ AB, zero)
@@ -92,7 +110,7 @@ class CentredProblems:
             (through_x + coordinates.nu_Y) * np.array(Y, dtype=object),
             coordinates.R * Y[-1],
             Xy,
-            RemainderBound(system, problem)(reached),
+            remainder,
         )
 
     def at(self, kappa: Any) -> ErrorProblem:
@@ -160,11 +178,22 @@ def centred_problem(
 def reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
     """A^{-1} B and the bounds Y: x = A^{-1} e + A^{-1} B (y_d ... y_d^(q)), |y_d^(i)| <= Y_i."""
     coordinates = error_coordinates(system, rational)
+    return problem.Xe @ coordinates.B, bounds_needed(system, coordinates.q)
+
+
+def bounds_needed(system: System, q: int) -> list[Any]:
+    """The bounds of y_d ... y_d^(q+1), in rationals.
+
+    Raises
+    ------
+    NoCertificate
+        If one is neither proven nor declared.
+    """
     try:
-        bounds = system.reference.bounds(coordinates.q + 1).values
+        bounds = system.reference.bounds(q + 1).values
     except InputError as unbounded:
         raise NoCertificate(f"the centred stage needs all bounds of y_d: {unbounded}") from None
-    return problem.Xe @ coordinates.B, [exact_float(v, rational) for v in bounds]
+    return [exact_float(v, rational) for v in bounds]
 
 
 class RemainderBound:

@@ -197,12 +197,20 @@ class SemidefiniteProgram:
 
     def point(self, alpha: float) -> ProgramPoint | None:
         """The same with its dual, in scaled units."""
+        numbers = self.numbers(alpha)
+        if numbers is None:
+            return None
+        cost, matrix, _ = numbers
+        cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
+        return self._call(cost, matrix)
+
+    def numbers(self, alpha: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """The c, G and h of min c . x with h - G x in the cones; None if it has no leakage."""
         leak = self.problem.leakage(alpha)
         if leak is None:
             return None
-        cost = self.cost(leak)
-        cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        return self._call(cost, self._base + self.scaling.rate(alpha) * self._slope)
+        matrix = self._base + self.scaling.rate(alpha) * self._slope
+        return self.cost(leak), matrix, self._right
 
     def by_log_alpha(self, point: ProgramPoint, alpha: float) -> float:
         """Derivative of log bound^2 by log alpha at a point of this alpha, by its dual.

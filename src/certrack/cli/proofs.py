@@ -189,17 +189,19 @@ def verify(certificate: Path, as_json: bool) -> None:
     from certrack.certificates.region import is_only_in_region
     from certrack.certificates.sampled_adaptive.premises import STARTS
     from certrack.cli import console
+    from certrack.reports.certificates import EVERY_START
 
     proof = certificates.verify(certificate)
+    named = {premise.name for premise in proof.premises}
+    limited = bool(named & {LIMITS, REGION}) or is_only_in_region(proof.premises)
+    whose = " from simulation.x0" if limited else ""
+    whose = " from the starts stated below" if STARTS in named else whose
     if as_json:
         from dataclasses import asdict
 
-        click.echo(console.to_json(asdict(proof)))
+        starts = (whose.strip() or EVERY_START) if proof.verified else None
+        click.echo(console.to_json(asdict(proof) | {"starts": starts}))
     elif proof.verified:
-        named = {premise.name for premise in proof.premises}
-        limited = bool(named & {LIMITS, REGION}) or is_only_in_region(proof.premises)
-        whose = " from simulation.x0" if limited else ""
-        whose = " from the starts stated below" if STARTS in named else whose
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         console.print_lines(premise_lines(proof.premises))
     if not proof.verified:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.claimed_starts import claimed_starts
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import MOVING_KINDS, RANGE_KINDS
 from certrack.certificates.tube import TUBE_ROUNDING, Tube
@@ -21,6 +22,9 @@ from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 
 #: What stands for a critical strength without limit.
 LARGEST_STRENGTH = 1e9
+
+#: What `best` says of the starts where it is of all.
+EVERY_START = "every start"
 
 #: The error counts as settled in the tube where it is within this part of the bound.
 SETTLED_MARGIN = 0.1
@@ -80,7 +84,13 @@ def _best(results: Certificates) -> dict[str, Any] | None:
     best = results.best
     as_run = best is results.implemented or best is results.sampled
     loop = "implemented" if as_run else "continuous"
-    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
+    return {
+        "method": best.kind,
+        "bound": best.bound,
+        "verified": True,
+        "loop": loop,
+        "starts": claimed_starts(results) or EVERY_START,
+    }
 
 
 def certificates_table(results: Certificates) -> Table:

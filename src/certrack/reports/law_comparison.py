@@ -80,7 +80,8 @@ def law_notes(result: LawComparison) -> list[str]:
         if figures.works and math.isfinite(figures.bound):
             loop = "continuous loop, not of the sampled one"
             of = f", of the {loop}" if figures.bound_is_continuous else ""
-            lines.append(f"  certified by {figures.bound_note}{of}")
+            whose = f", {figures.bound_starts}" if figures.bound_starts else ""
+            lines.append(f"  certified by {figures.bound_note}{of}{whose}")
         elif figures.works:
             lines.append(f"  no certified bound: {figures.bound_note}")
         else:

@@ -60,6 +60,9 @@ def tuned_notes(result: Tuned) -> list[str]:
         f"{result.programs} programs ({per_start} a start), seed {result.seed}; certified by "
         f"{result.after.method or 'nothing'}"
     )
+    for name, figures in (("before", result.before), ("after", result.after)):
+        if figures.starts:
+            lines.append(f"the certified error {name} holds {figures.starts}")
     if result.front is not None:
         lines += _front_lines(result)
     return [*lines, *result.notes]

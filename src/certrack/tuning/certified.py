@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from certrack.certificates.bootstrap.certify import certify_bootstrap
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.certify import certify
+from certrack.certificates.claimed_starts import claimed_starts
 from certrack.certificates.implemented.certify import KIND
 from certrack.certificates.methods import smallest
 from certrack.certificates.ranges.certify import certify_ranges
@@ -21,7 +24,26 @@ def certified(
     progress: Progress = silent,
 ) -> Certificate:
     """The best certificate of a system: that of the loop as implemented, else the smallest."""
-    return certified_or_why(system, bootstrap=bootstrap, effort=effort, progress=progress)[0]
+    return certified_or_why(system, bootstrap=bootstrap, effort=effort, progress=progress).best
+
+
+@dataclass(frozen=True)
+class CertifiedDesign:
+    """What is proven of a design.
+
+    Attributes
+    ----------
+    best : Certificate
+    why_continuous : str
+        Why there is none of the loop as implemented. Empty where there is no ``[implementation]``,
+        or a verified bound of the loop that it makes.
+    starts : str
+        From which starts it holds, in words; empty for all.
+    """
+
+    best: Certificate
+    why_continuous: str
+    starts: str
 
 
 def certified_or_why(
@@ -30,8 +52,8 @@ def certified_or_why(
     bootstrap: bool = True,
     effort: str = "fast",
     progress: Progress = silent,
-) -> tuple[Certificate, str]:
-    """The best certificate, and why there is none of the loop as implemented.
+) -> CertifiedDesign:
+    """The best certificate, from which starts, and why there is none of the loop as implemented.
 
     With the effort ``fast`` ranges are cut into cells, which takes seconds: gains that were
     searched for the corners may be too sharp for one proof of the whole box. The loop as
@@ -49,18 +71,16 @@ def certified_or_why(
 
     Returns
     -------
-    certificate : Certificate
-    reason : str
-        Empty where there is no ``[implementation]``, or a verified bound of the loop that it makes.
+    CertifiedDesign
     """
     result = certify(system, effort, progress)
     missing = system.implementation is not None and not result.implemented.verified
-    reason = result.implemented.reason if missing else ""
+    reason, starts = result.implemented.reason if missing else "", claimed_starts(result)
     if effort != "fast" or result.best.kind == KIND or result.contradicted:
-        return result.best, reason
+        return CertifiedDesign(result.best, reason, starts)
     later, others = system.long_run, []
     if has_ranges(system):
         others.append(certify_ranges(later).best)
     elif bootstrap and result.cascade_proof is not None:
         others.append(certify_bootstrap(later, first=result.cascade_proof[0])[0])
-    return smallest((*others, result.best)) or result.best, reason
+    return CertifiedDesign(smallest((*others, result.best)) or result.best, reason, starts)

@@ -63,6 +63,8 @@ class Measured:
         :data:`COMPUTED`, :data:`FOUND` or :data:`SIMULATED`.
     continuous_only : str
         With ``[implementation]``: why the certificate is of the continuous law; empty if it is not.
+    starts : str
+        From which starts the certificate is, in words; empty for all.
     noise : float
         ||dK_u/dx||.
     period : float or None
@@ -80,6 +82,7 @@ class Measured:
     period: float | None
     peak_is: str
     continuous_only: str = ""
+    starts: str = ""
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -95,11 +98,12 @@ def figures_of(
     progress: Progress = silent,
 ) -> Measured:
     """The figures of a system; `progress` gets steps, their number and the bound so far."""
-    best, reason = certified_or_why(
+    proven = certified_or_why(
         system,
         effort=effort,
         progress=lambda step, _, bound: progress(step, MEASURING_STEPS, bound),
     )
+    best = proven.best
     bound = best.bound if best.exists else None
     progress(STEPS, MEASURING_STEPS, bound)
     worst = _falsified(system, seed, best.kind == KIND)
@@ -117,7 +121,8 @@ def figures_of(
         noise=NoiseGain(system).value(candidate),
         period=_exact_edge(system, candidate),
         peak_is=SIMULATED if box is None else COMPUTED if input_plant(system) else FOUND,
-        continuous_only=reason,
+        continuous_only=proven.why_continuous,
+        starts=proven.starts if best.verified else "",
     )
 
 

@@ -4,7 +4,7 @@ The first program bounds e_n by E, and E is a datum of the second (:mod:`..casca
 needs the best of all stages at once, each begun where it ended before: :func:`best_cascade`. A
 search needs value and gradient at rates that are among its unknowns: where a gain changes, the
 head's problem changes by the gain and by what E moves, and its dual tells of both:
-:func:`cascade_estimate`.
+:func:`cascade_estimate`, and with a centred stage between :func:`centred_cascade_estimate`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import SHIFT_DIGITS, head_problem
 from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.estimates.dual import semidefinite_estimate
+from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
+from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.search.decay_rate import best_by_slope
 from certrack.certificates.search.shift import best_shifts
-from certrack.certificates.semidefinite import SemidefiniteProgram, Solution
+from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, fastest_rate
 from certrack.systems.system import System
 
 #: A shift that is known from nearby is tried so much smaller and larger, too.
@@ -132,7 +133,7 @@ def _as_proof(solution: Solution) -> Proof:
 
 @dataclass(frozen=True)
 class CascadeEstimate:
-    """The bound of the two stages, without a centred one between, and its gradient.
+    """The bound of the stages for given rates, and its gradient.
 
     Attributes
     ----------
@@ -142,14 +143,17 @@ class CascadeEstimate:
         Of limsup |e_n|.
     log_gradient : array
         Derivatives of log bound, one for each pair of changed problems.
-    by_log_shares : pair of floats
-        Its derivatives by the logarithms of the two shares.
+    by_log_shares : tuple of float
+        Its derivatives by the logarithms of the shares.
+    by_log_shift : float
+        The same of the centre's shift kappa; 0 without a centred stage.
     """
 
     bound: float
     last: float
     log_gradient: np.ndarray
-    by_log_shares: tuple[float, float]
+    by_log_shares: tuple[float, ...]
+    by_log_shift: float = 0.0
 
 
 def cascade_estimate(
@@ -174,18 +178,91 @@ def cascade_estimate(
     first = semidefinite_estimate(problem, shares[0], changed, step, problem.n - 1)
     if first is None:
         return None
-    E = first.bound
+    slopes = np.append(first.log_gradient, first.by_log_share)
+    head = _head(problem, first.bound, slopes, shares[1], [*changed, (problem, problem)], step)
+    if head is None:
+        return None
+    *gradient, by_first = head.log_gradient
+    by_shares = float(by_first), head.by_log_share
+    return CascadeEstimate(head.bound, first.bound, np.array(gradient), by_shares)
+
+
+def centred_cascade_estimate(
+    stage: CentredStage,
+    design: StageDesign,
+    shares: tuple[float, float, float],
+    shift: float,
+    changed: Sequence[tuple[StageDesign, StageDesign]] = (),
+    step: float = 1.0,
+) -> CascadeEstimate | None:
+    """The same with a centred stage between the two; None if one of the three has no solution.
+
+    Parameters
+    ----------
+    stage : CentredStage
+        Of the plant and the reference.
+    design : StageDesign
+        In floats, with estimates, n >= 2.
+    shares : three floats
+        Below 1, of the stages in their order.
+    shift : float
+        kappa of the centred one.
+    changed : pairs of StageDesign
+        With each parameter a step above and below.
+    step : float
+        Of these, in logarithms.
+    """
+    problem, ratio = design[0], math.exp(step)
+    target, pairs = problem.n - 1, [(above[0], below[0]) for above, below in changed]
+    fastest = fastest_rate(problem)
+    if not fastest > 0:
+        return None
+
+    def rated(of: ErrorProblem, by: float = 1.0) -> tuple[ErrorProblem, float]:
+        return of, shares[0] * fastest_rate(of) * by
+
+    each = [(rated(above), rated(below)) for above, below in pairs]
+    by_share = rated(problem, ratio), rated(problem, 1 / ratio)
+    first = ReachedSet.of(rated(problem), [*each, by_share], step)
+    if first is None:
+        return None
+    centred = stage.problems(design, first.P, first.bound)
+    if not math.isfinite(centred.remainder):
+        return None
+    moved = [
+        (stage.problems(above, *higher).at(shift), stage.problems(below, *lower).at(shift))
+        for (above, below), (higher, lower) in zip(
+            [*changed, (design, design)], first.moved, strict=True
+        )
+    ]
+    moved.append((centred.at(shift * ratio), centred.at(shift / ratio)))
+    second = semidefinite_estimate(centred.at(shift), shares[1], moved, step, target)
+    if second is None:
+        return None
+    slopes = np.append(second.log_gradient, second.by_log_share)
+    inner = [*pairs, *[(problem, problem)] * 3]
+    head = _head(problem, second.bound, slopes, shares[2], inner, step)
+    if head is None:
+        return None
+    *gradient, by_first, by_shift, by_second = head.log_gradient
+    by_shares = float(by_first), float(by_second), head.by_log_share
+    return CascadeEstimate(head.bound, second.bound, np.array(gradient), by_shares, float(by_shift))
+
+
+def _head(
+    problem: ErrorProblem,
+    E: float,
+    slopes: np.ndarray,
+    share: float,
+    changed: Sequence[tuple[ErrorProblem, ErrorProblem]],
+    step: float,
+) -> SemidefiniteEstimate | None:
+    """The last stage: its problem changes with each parameter, and by what that moves E."""
     pairs = [
         (
             head_problem(above, E * math.exp(step * slope)),
             head_problem(below, E * math.exp(-step * slope)),
         )
-        for (above, below), slope in zip(changed, first.log_gradient, strict=True)
+        for (above, below), slope in zip(changed, slopes, strict=True)
     ]
-    by_E = head_problem(problem, E * math.exp(step)), head_problem(problem, E * math.exp(-step))
-    head = semidefinite_estimate(head_problem(problem, E), shares[1], [*pairs, by_E], step)
-    if head is None:
-        return None
-    *gradient, slope_of_E = head.log_gradient
-    by_shares = float(slope_of_E * first.by_log_share), head.by_log_share
-    return CascadeEstimate(head.bound, E, np.array(gradient), by_shares)
+    return semidefinite_estimate(head_problem(problem, E), share, pairs, step)

@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from certrack.certificates.estimates.recentred import recentred_point
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
+from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram, fastest_rate
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,16 @@ class SemidefiniteEstimate:
         Derivatives of log bound, one for each pair of changed problems.
     by_log_share : float
         Its derivative by the logarithm of the share.
+    program, point, alpha
+        What was solved, for this decay rate (1/s), and its solution.
     """
 
     bound: float
     log_gradient: np.ndarray
     by_log_share: float
+    program: SemidefiniteProgram = field(repr=False)
+    point: ProgramPoint = field(repr=False)
+    alpha: float
 
 
 def semidefinite_estimate(
@@ -89,4 +94,5 @@ def semidefinite_estimate(
         rates = math.log(fastest_rate(above) / fastest_rate(below)) / (2 * step)
         slopes.append(direct / (2 * value) + by_log_share * rates)
     gradient = np.nan_to_num(np.array(slopes))
-    return SemidefiniteEstimate(solution.bound, gradient, float(np.nan_to_num(by_log_share)))
+    by_share = float(np.nan_to_num(by_log_share))
+    return SemidefiniteEstimate(solution.bound, gradient, by_share, program, point, alpha)

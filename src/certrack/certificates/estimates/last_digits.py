@@ -35,33 +35,49 @@ def with_last_digits(
     x, z : arrays
         What a solver found.
     """
-    _, matrix, right = program
-    residual = _residual(program, sizes, x, z)
+    residual = optimality_residual(program, sizes, x, z)
     for _ in range(NEWTON_STEPS):
-        by_x = -_product(sizes, z, matrix)
-        by_z = _product(sizes, right - matrix @ x, np.eye(len(z)))
-        jacobian = np.block([[np.zeros((len(x), len(x))), matrix.T], [by_x, by_z]])
         try:
-            step = np.linalg.solve(jacobian, -residual)
+            step = np.linalg.solve(optimality_slopes(program, sizes, x, z), -residual)
         except np.linalg.LinAlgError:
             break
         nearer = x + step[: len(x)], z + step[len(x) :]
-        after = _residual(program, sizes, *nearer)
+        after = optimality_residual(program, sizes, *nearer)
         if not np.linalg.norm(after) < LEFT_AFTER_STEP * np.linalg.norm(residual):
             break
         (x, z), residual = nearer, after
     return x, z
 
 
-def _residual(
+def optimality_residual(
     program: tuple[np.ndarray, np.ndarray, np.ndarray],
     sizes: Sequence[int],
     x: np.ndarray,
     z: np.ndarray,
 ) -> np.ndarray:
+    """What the equations of the module's text have on their left: zero at the minimiser.
+
+    Parameters
+    ----------
+    program, sizes, x, z
+        As :func:`with_last_digits` has them.
+    """
     cost, matrix, right = program
     complementary = _product(sizes, z, (right - matrix @ x)[:, None])[:, 0]
     return np.concatenate([matrix.T @ z + cost, complementary])
+
+
+def optimality_slopes(
+    program: tuple[np.ndarray, np.ndarray, np.ndarray],
+    sizes: Sequence[int],
+    x: np.ndarray,
+    z: np.ndarray,
+) -> np.ndarray:
+    """The derivatives of :func:`optimality_residual` by x and z."""
+    _, matrix, right = program
+    by_x = -_product(sizes, z, matrix)
+    by_z = _product(sizes, right - matrix @ x, np.eye(len(z)))
+    return np.block([[np.zeros((len(x), len(x))), matrix.T], [by_x, by_z]])
 
 
 def _product(sizes: Sequence[int], fixed: np.ndarray, columns: np.ndarray) -> np.ndarray:

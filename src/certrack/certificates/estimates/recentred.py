@@ -42,8 +42,11 @@ def recentred_point(program: SemidefiniteProgram, alpha: float) -> ProgramPoint 
     alpha : float, 1/s
     """
     point = program.point(alpha)
-    if point is None:
-        return None
+    return None if point is None else about_itself(program, point, alpha)
+
+
+def about_itself(program: SemidefiniteProgram, point: ProgramPoint, alpha: float) -> ProgramPoint:
+    """The same from a point, for the cost that it has."""
     for _ in range(MOST_ROUNDS):
         better = _Centre.of(program, point).solved(program, point, alpha)
         if better is None:

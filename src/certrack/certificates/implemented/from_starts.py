@@ -171,7 +171,13 @@ class Findings:
 def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     """Proofs from x0, and of the starts from which no limit is met."""
     plant = RangedPlant(system) if proofs[0].cell else None
-    findings = [_starts_of_delay(system, proof, plant) for proof in proofs]
+    findings: list[Findings] = []
+    for proof in proofs:
+        begin = _begin_near(findings[-1]) if proof.cell and findings else 0
+        finding = _starts_of_delay(system, proof, plant, begin)
+        if begin and (finding.reason or finding.polytope is None):  # fewer periods may have one
+            finding = _starts_of_delay(system, proof, plant, 0)
+        findings.append(finding)
     reason = next((entry.reason for entry in findings if entry.reason), "")
     polytopes = [entry.polytope for entry in findings if entry.polytope is not None]
     polytope = common(polytopes) if len(polytopes) == len(findings) else None
@@ -185,14 +191,20 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     )
 
 
+def _begin_near(neighbour: Findings) -> int:
+    """The doublings that the starts of another cell need: those of this one hardly need fewer."""
+    needed = (start.doublings for start in neighbour.proofs[0].starts)
+    return min(needed, default=0)
+
+
 def _starts_of_delay(
-    system: System, proof: ImplementedProof, plant: RangedPlant | None
+    system: System, proof: ImplementedProof, plant: RangedPlant | None, begin: int
 ) -> Findings:
     limited, polytope, reason = is_limited(system), None, ""
     starts = list(proof.starts)
     with flint.ctx.workprec(DRIVE_BITS):
         prover = start_prover(
-            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell), plant
+            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell), plant, begin
         )
         try:
             starts = starts or [prover.prove(X0)]

@@ -262,6 +262,7 @@ def start_prover(
     parts: tuple[int, int],
     cell: Cell = (),
     plant: RangedPlant | None = None,
+    begin: int = 0,
 ) -> StartProver:
     """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
 
@@ -272,7 +273,7 @@ def start_prover(
     """
     drive = drive_in(system, delay, cell, plant)
     period = one_period(drive, parts)
-    return StartProver(system, drive, lambda doublings: FromStarts(period, doublings))
+    return StartProver(system, drive, lambda doublings: FromStarts(period, doublings), begin)
 
 
 def failed_implemented(

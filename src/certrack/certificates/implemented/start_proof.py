@@ -129,9 +129,12 @@ class StartProver:
     system : System
     frames : callable
         From a number of doublings to :class:`FromStarts`.
+    begin : int
+        The doublings that a search begins with, as another cell of the same ranges needs them.
     """
 
-    def __init__(self, system: System, drive: Drive, frames: Any) -> None:
+    def __init__(self, system: System, drive: Drive, frames: Any, begin: int = 0) -> None:
+        self._begin = max(begin, FEWEST_DOUBLINGS)
         self.system, self.drive, self._frames = system, drive, frames
         self._by_doublings: dict[int, FromStarts | NoCertificate] = {}
         self._starts = cache(partial(start_set_of, system, drive))
@@ -234,7 +237,7 @@ class StartProver:
             If nothing is bounded for all time.
         """
         best, reason = None, ""
-        for doublings in range(FEWEST_DOUBLINGS, MOST_DOUBLINGS + 1):
+        for doublings in range(self._begin, MOST_DOUBLINGS + 1):
             try:
                 evidence = self.bounds(starts, doublings, 2 ** (doublings - 1), None)
             except NoCertificate as refusal:

@@ -18,7 +18,7 @@ from certrack.model.implementation import USUAL_PERIOD
 from certrack.simulation.metrics import Metrics
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.systems.system import System, require_system
-from certrack.tuning.certified import certified
+from certrack.tuning.certified import certified_or_why
 from certrack.tuning.comparison.entrants import entrant_of, with_input_limit
 from certrack.tuning.comparison.gain_search import FoundGains, search_gains
 from certrack.tuning.comparison.trials import (
@@ -86,6 +86,8 @@ class LawFigures:
         The best verified bound of limsup \\|e_1\\|; inf if there is none.
     bound_note : str
         Its kind, or why there is none.
+    bound_starts : str
+        From which starts it holds, in words; empty for all.
     """
 
     name: str
@@ -100,6 +102,7 @@ class LawFigures:
     members: Ensemble | None = None
     bound: float = math.inf
     bound_note: str = ""
+    bound_starts: str = ""
 
     @property
     def worst_member(self) -> float | None:
@@ -145,6 +148,7 @@ class LawFigures:
             "at_gains": dict(zip(map(str, GAIN_FACTORS), self.at_gains, strict=True)),
             "bound": self.bound,
             "bound_note": self.bound_note,
+            "bound_starts": self.bound_starts,
             "bound_of_continuous_loop": self.bound_is_continuous,
             "exceeded": list(self.exceeded),
             "gains": self._plain_gains(),
@@ -309,7 +313,7 @@ class _Measure:
         exceeded = tuple(name for name in exceeded if name != PEAK)  # of what was aimed at
         if peak > limits.peak_input and searched is not None:
             exceeded = (PEAK, *exceeded)
-        bound, note = self._bound(system)
+        bound, note, starts = self._bound(system)
         return LawFigures(
             name,
             system,
@@ -323,19 +327,21 @@ class _Measure:
             members=group,
             bound=bound,
             bound_note=note,
+            bound_starts=starts,
         )
 
-    def _bound(self, system: System) -> tuple[float, str]:
-        """The best verified bound, and its kind or why there is none."""
+    def _bound(self, system: System) -> tuple[float, str, str]:
+        """The best verified bound, its kind or why there is none, and from which starts."""
         if system.plant != self._system.plant:
-            return math.inf, "rests on guesses of g_n and theta"
+            return math.inf, "rests on guesses of g_n and theta", ""
         try:
-            best = certified(system)
+            proven = certified_or_why(system)
         except CertrackError as refusal:
-            return math.inf, str(refusal)
+            return math.inf, str(refusal), ""
+        best = proven.best
         if best.verified and math.isfinite(best.bound):
-            return best.bound, best.kind
-        return math.inf, best.reason
+            return best.bound, best.kind, proven.starts
+        return math.inf, best.reason, ""
 
 
 def _tail(metrics: Metrics | None) -> float:
