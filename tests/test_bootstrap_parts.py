@@ -748,6 +748,61 @@ def test_what_the_program_finds_holds_and_is_proven_so(stage):
     assert "no row" in failed_part(forms, replace(proof, claims=(before,)), stage.rows)
 
 
+@cache
+def stated(name):
+    """A proof of both sides of e_n on the first box."""
+    stage = first_stage(name)
+    forms, wanted = stage.forms, ((stage.loop.n - 1, 1), (stage.loop.n - 1, -1))
+    asked = [row_over_box(forms, side * stage.rows[error]) for error, side in wanted]
+    alpha = 1.5 * float(from_text(stage.proof.alpha))
+    found = BootstrapProgram(stage.floats, 2).solve(alpha, np.array(asked).astype(float))
+    return prove_function(forms, found, wanted, stage.rows)
+
+
+@pytest.mark.parametrize("name", ["plain", "both"])
+@pytest.mark.parametrize("kind", ["squares", "inputs", "sectors"])
+def test_no_multiplier_may_be_negative_however_little(name, kind):
+    """One alone, by so little that every matrix may stay definite: its sign is what fails."""
+    stage, proof = first_stage(name), stated(name)
+    texts = getattr(proof, kind)
+    for i in range(len(texts)):
+        for text in ("-1e-200", "-1e-12", "-1"):
+            forged = replace(proof, **{kind: (*texts[:i], text, *texts[i + 1 :])})
+            assert "negative" in failed_part(stage.forms, forged, stage.rows)
+        zero = replace(proof, **{kind: (*texts[:i], "0", *texts[i + 1 :])})
+        assert "negative" not in failed_part(stage.forms, zero, stage.rows)
+
+
+@pytest.mark.parametrize("name", ["plain", "both"])
+def test_what_a_quadratic_proof_must_have_is_named(name):
+    """Each condition alone: signs, symmetry, shapes, and the regressor's multipliers."""
+    stage, proof = first_stage(name), stated(name)
+    assert failed_part(stage.forms, proof, stage.rows) == ""
+    claim, G = proof.claims[0], proof.G
+    off = (*G[:1], (str(float(G[1][0]) + 1e-9), *G[1][1:]), *G[2:])
+    faults = {
+        "alpha is not positive": [{"alpha": "0"}, {"alpha": "-1e-200"}],
+        "G is not symmetric": [{"G": off}],
+        "a scale is not positive": [
+            {"claims": (claim, replace(claim, scale=text))} for text in ("0", "-1e-200")
+        ],
+        "a claim is of no row": [{"claims": (claim, replace(claim, side=side))} for side in (0, 2)],
+        "the function is below": [{"claims": (claim, replace(claim, bound="-1e3"))}],
+    }
+    for kind in ("squares", "inputs", "sectors", "mu", "scales", "turns"):
+        texts = getattr(proof, kind)
+        faults.setdefault("shape", []).append({kind: (*texts, "0")})
+        faults["shape"] += [{kind: texts[:-1]}] if texts else []
+    for i in range(0, len(proof.scales), 6):
+        for at in (0, 2, 5):  # the diagonal of a D_i
+            scales = [*proof.scales[: i + at], "0", *proof.scales[i + at + 1 :]]
+            fault = "a multiplier of the regressor is not positive definite"
+            faults.setdefault(fault, []).append({"scales": tuple(scales)})
+    for reason, changes in faults.items():
+        for change in changes:
+            assert reason in failed_part(stage.forms, replace(proof, **change), stage.rows)
+
+
 def test_one_function_for_two_rows_is_no_better_than_one_for_each(stage):
     forms, loop = stage.floats, stage.loop
     row = stage.rows[loop.n - 1].astype(float)
