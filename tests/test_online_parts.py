@@ -416,6 +416,55 @@ def test_an_adaptive_law_that_shares_all_is_covered_by_its_slower_end():
     assert problem.M[-1, -1] == error_problem(other_end_system(turned), rational).M[-1, -1]
 
 
+OF_ORDER_THREE = """
+[plant]
+states = ["x1", "x2", "x3"]
+chain = [1, 1]
+drift = "-0.3*x3"
+regressor = ["sin(x1)"]
+gain_sign = 1
+[plant.uncertainty]
+tau = [0.05, 0.05, 0.1]
+gamma = [0.1, 0.1, 0.1]
+beta = [0.1, 0.1, 0.1]
+[truth]
+input_gain = 2
+theta = [0.5]
+omega = ["0.1*sin(t)", "0.1*cos(t)", "0.1*sin(2*t)"]
+[reference]
+signal = "0.2*sin(t)"
+[law]
+kind = "adaptive"
+c = [1, 2, 9]
+gain_rate = 1
+leak_gain = 0.5
+leak_theta = 0.5
+delta0 = 0.5
+theta0 = [0.4]
+online = {c_n = 3, threshold = 0.01, rise = 2, fall = 0.3}
+[simulation]
+x0 = [0.1, 0, 0]
+duration = 10
+tail = 2
+"""
+
+
+@pytest.mark.parametrize(("first", "other"), [(9.0, 3.0), (3.0, 9.0)])
+def test_the_slower_end_is_that_of_the_smaller_last_gain_at_any_order(first, other):
+    """V' holds M[n, n] = -c_n + ... of the slower end for all that are between."""
+    system = certrack.loads(OF_ORDER_THREE)
+    online = replace(system.law.online, c_n=other)
+    system = system.replace(law=replace(system.law, c=(1.0, 2.0, first), online=online))
+    assert other_end(system.law).c == (1.0, 2.0, other)
+    ends = [error_problem(end(system), rational) for end in (first_end_system, other_end_system)]
+    assert abs(ends[1].M[-1, -1] - ends[0].M[-1, -1]) == rational(abs(first - other))
+    (problem,) = end_problems(system)
+    assert (problem.M == ends[first > other].M).all()
+    off = np.abs(ends[1].M - ends[0].M)
+    off[-1, -1] = rational(0)
+    assert not off.any()  # the last gain stands nowhere else
+
+
 def test_a_column_that_acts_at_one_end_is_there_at_both():
     """y_d^(q+1) acts where r makes no static error by it at one end only."""
     base = certrack.load("dual-motor-linear")
@@ -485,6 +534,38 @@ def test_numbers_that_are_not_positive_are_refused(name, value):
     with pytest.raises(InputError) as caught:
         Online(**stated)
     assert caught.value.key == f"law.online.{name}"
+
+
+@pytest.mark.parametrize("name", ["amplitude", "frequency", "speed", "effort"])
+def test_numbers_of_what_is_tried_must_be_positive(name):
+    stated = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2, "effort": 0.1}
+    assert getattr(Online(c_n=3.0, **(stated | {name: 1e-9})), name) == 1e-9
+    for value in (0.0, -0.5, -1.0, np.inf, np.nan):
+        with pytest.raises(InputError) as caught:
+            Online(c_n=3.0, **(stated | {name: value}))
+        assert caught.value.key == f"law.online.{name}"
+
+
+def test_a_seed_is_an_integer_of_31_bits():
+    stated = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2}
+    for seed in (0, 1, 2**31 - 1):
+        assert Online(c_n=3.0, **stated, seed=seed).seed == seed
+    for seed in (-1, 2**31, 0.5):
+        with pytest.raises(InputError, match=r"law\.online\.seed"):
+            Online(c_n=3.0, **stated, seed=seed)
+
+
+def test_each_rule_excludes_the_others():
+    sought = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2}
+    for others, key in (
+        (sought | RULE, "seek"),
+        (sought | {"schedule": "0.5"}, "seek"),
+        (RULE | {"schedule": "0.5"}, "threshold"),
+        ({}, "threshold"),
+    ):
+        with pytest.raises(InputError) as caught:
+            Online(c_n=3.0, **others)
+        assert caught.value.key == f"law.online.{key}"
 
 
 @pytest.mark.parametrize("name", ["c", "Gamma"])
