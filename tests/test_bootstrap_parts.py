@@ -832,6 +832,21 @@ def test_a_matrix_that_only_floats_take_for_definite_is_not_proven():
     assert proven_definite(np.array([[tiny]], dtype=object))
 
 
+def test_no_singular_matrix_is_proven_definite():
+    """b b^T/7 leaves exactly zeros behind a factor that floats have: no row may be as large."""
+    factored = 0
+    for b in itertools.product(range(-9, 10), repeat=2):
+        matrix = np.array([[flint.fmpq(v * w, 7) for v in b] for w in b])
+        try:
+            np.linalg.cholesky(matrix.astype(float))
+            factored += 1
+        except np.linalg.LinAlgError:
+            pass
+        assert not proven_definite(matrix)
+        assert proven_definite(matrix + np.diag([flint.fmpq(1, 1000)] * 2))
+    assert factored > 10  # of rank one, and taken for definite
+
+
 # The search ---------------------------------------------------------------------------------------
 
 
