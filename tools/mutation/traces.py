@@ -74,13 +74,13 @@ class Trace:
         return sorted(chosen, key=lambda name: (name not in runners, *self._order(name))), anew
 
     def _affordable(self, ranked: list[str]) -> list[str]:
-        """As many as the budget allows, of every test the first example, then the second ones."""
+        """As many as the budget allows: the quick ones, and of the others examples by turns."""
         seen: dict[str, int] = {}
         turns = []
         for name in ranked:
             test = name.partition("[")[0]
             seen[test] = seen.get(test, 0) + 1
-            turns.append((seen[test], name))
+            turns.append((seen[test] if self.seconds[name] > QUICK else 0, name))
         chosen, total = [], 0.0
         for _, name in sorted(turns, key=lambda turn: turn[0]):  # stable: else as they are ranked
             total += self.seconds[name]
