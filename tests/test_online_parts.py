@@ -18,7 +18,7 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.online import certify as room
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.online.certify import OnlineProof, certify_online, failed_online
-from certrack.certificates.online.ends import end_problems
+from certrack.certificates.online.ends import _with_inputs_of_both, end_problems
 from certrack.certificates.online.rates import (
     RateProgram,
     RateSolution,
@@ -476,6 +476,32 @@ def test_a_column_that_acts_at_one_end_is_there_at_both():
     assert problems[0].derivatives == problems[1].derivatives
     assert problems[0].counts == problems[1].counts
     assert [p.Uy.shape for p in problems] == [p.Xy.shape for p in problems]
+
+
+@pytest.mark.parametrize("shorter", [0, 1])
+def test_an_input_that_one_end_has_not_acts_at_the_other_alone(moving, shorter):
+    """Its column is zero there, so that the inequality is that without it, whatever its share."""
+    problems = list(moving[1])
+    whole = problems[shorter]
+    less = replace(
+        whole, Uy=whole.Uy[:, :-1], Xy=whole.Xy[:, :-1], derivatives=whole.derivatives[:-1]
+    )
+    problems[shorter] = less
+    both = _with_inputs_of_both(*problems)
+    assert both[1 - shorter] is problems[1 - shorter]
+    wide = both[shorter]
+    assert (wide.derivatives, wide.counts) == (whole.derivatives, whole.counts)
+    assert wide.Uy.shape == whole.Uy.shape and wide.Xy.shape == whole.Xy.shape
+    assert (wide.Uy[:, :-1] == less.Uy).all() and (wide.Xy[:, :-1] == less.Xy).all()
+    assert not wide.Uy[:, -1].any() and not wide.Xy[:, -1].any()
+    rng, n = np.random.default_rng(1), less.n
+    P = rng.normal(size=(n, n))
+    lam, nu, k = (rng.uniform(0.1, 1, count) for count in whole.counts)
+    P, size = P + P.T, n + sum(less.counts)
+    form = wide.in_floats().inequality(P, lam, nu, k, 0.3)
+    short = less.in_floats().inequality(P, lam, nu, k[:-1], 0.3)
+    np.testing.assert_allclose(form[:size, :size], short, rtol=1e-12, atol=1e-12)
+    assert not form[-1, :-1].any() and form[-1, -1] < 0
 
 
 def test_gains_that_stand_still_have_no_ends():
