@@ -358,6 +358,27 @@ def test_texts_of_an_interval_are_strictly_wider(value):
             assert low >= exact - more and high <= exact + width + more
 
 
+@pytest.mark.parametrize("constant", [1e6, -1e6])
+def test_ranges_beside_a_large_constant_are_confirmed(constant):
+    """They are as narrow as the roundings of the constant, for which there is room."""
+    stage = first_stage("plain")
+    x1 = formulas_of(stage.system).states[0]
+    drift = sympy.Rational(constant) + x1 / 10**7
+    ranges = Ranges(SimpleNamespace(states=(x1,), drift=drift, regressor=()), stage.loop)
+    region = next_region(stage.loop, ranges, stage.known)
+    assert failed_region(stage.loop, ranges, stage.known, region) == ""
+    low, high = map(float, region.drift)
+    assert low < constant < high and high - low < 0.01
+
+
+def test_a_row_has_nothing_of_errors_that_the_law_cancels(stage):
+    """With k = nu_x, ubar is linear in theta_tilde alone."""
+    numbers = replace(stage.numbers, slope=stage.loop.nu_x)
+    n = stage.loop.n
+    expected = [*([0] * n), *stage.numbers.middle, 0]
+    assert numbers.linear_row(stage.loop).tolist() == expected
+
+
 def held_by(part, first, second):
     """Whether a box is inside of two that differ in one direction, where they meet."""
     cut = [i for i, (a, b) in enumerate(zip(first, second, strict=True)) if a != b]
