@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cache
 from types import SimpleNamespace
 
@@ -53,6 +54,8 @@ from certrack.certificates.bootstrap.ranges import (
 )
 from certrack.certificates.bootstrap.rates import Rate, best_of_rates
 from certrack.certificates.bootstrap.regions import (
+    LOOSER,
+    WIDER,
     Reached,
     after,
     box_of_states,
@@ -61,6 +64,7 @@ from certrack.certificates.bootstrap.regions import (
     next_region,
     remainder_of,
     rows_of,
+    wider_texts,
 )
 from certrack.certificates.bootstrap.tape import Tape
 from certrack.certificates.bootstrap.variables import knows_reference, with_reference
@@ -223,9 +227,9 @@ def test_the_loop_on_its_first_box_is_that_of_the_plant_and_the_law(stage, part)
     low, high = (float(v) for v in numbers.ubar(loop))
     u = plant.uncertainty
     n = loop.n
+    box = np.array(plant.theta_range or np.zeros((0, 2)), dtype=float)
     for _ in range(12):
-        off = loop.theta_radius.astype(float) * rng.uniform(-1, 1, loop.r)
-        hand = ErrorsByHand(system, gain, loop.theta_middle.astype(float) + off)
+        hand = ErrorsByHand(system, gain, rng.uniform(*box.T))
         z = rng.uniform(*numbers.box.astype(float).T)
         Y = rng.uniform(-1, 1, len(loop.Y)) * loop.Y.astype(float)
         x, _ = hand.states(z, Y)
@@ -251,12 +255,44 @@ def test_the_loop_on_its_first_box_is_that_of_the_plant_and_the_law(stage, part)
             assert w[list(times)] == pytest.approx(w[times[0]] * w[list(at)], abs=1e-12)
 
 
-def test_the_remainder_holds_what_it_stands_for(stage):
+def test_ubar_is_bounded_by_its_row_its_remainder_and_what_the_reference_adds(stage):
+    """ubar + remainder - row z is linear in Y: its largest value over |y_i| <= Y_i is added."""
+    loop, numbers = stage.loop.in_floats(), stage.numbers.in_floats()
+    n, r, row = loop.n, loop.r, numbers.linear_row(loop)
+    hand = ErrorsByHand(stage.system, 1.5, loop.theta_middle)
+    rng, largest = np.random.default_rng(9), -math.inf
+    for signs in itertools.product((-1, 1), repeat=len(loop.Y)):
+        z, Y = rng.uniform(*numbers.box.T), np.array(signs) * loop.Y
+        x, _ = hand.states(z, Y)
+        h, *phi = hand.known(x)
+        _, ubar = hand.rates(z, Y, np.zeros(n))
+        rest = h - numbers.slope @ x + np.array(phi) @ hand.theta
+        rest -= (np.array(phi) - numbers.middle) @ z[n : n + r]
+        largest = max(largest, ubar + rest - row @ z)
+    low, high = numbers.ubar(loop)
+    assert high == pytest.approx(numbers.row[1] + largest - numbers.remainder[0], rel=1e-9)
+    assert low == pytest.approx(numbers.row[0] - largest - numbers.remainder[1], rel=1e-9)
+
+
+def test_parameters_without_a_range_are_no_inputs():
+    """w has an entry t for each theta with a range, and three for each phi that varies."""
+    text = RANGED.replace("[-0.4, -0.3]]", "[-0.35, -0.35]]").replace('"1 + x2/4"', '"2"')
+    stage = FirstStage(certrack.loads(text))
+    assert [float(v) for v in stage.loop.theta_radius] == pytest.approx([0.1, 0])
+    assert [float(v) for v in stage.loop.theta_middle] == pytest.approx([0.4, -0.35])
+    inputs = stage.loop.Ua.shape[1] + stage.loop.Ub.shape[1] + len(stage.loop.Y)
+    assert stage.forms.width == stage.loop.size + 1 + inputs + 1 + 1 + 2 + 3
+
+
+@pytest.mark.parametrize("off", [0.0, 0.3, -4.0])
+def test_the_remainder_holds_what_it_stands_for(stage, off):
     """h - k x + phi^T theta - (phi - phi_m)^T theta_tilde, anywhere in the box, and is near."""
     rng = np.random.default_rng(4)
-    loop, numbers, system = stage.loop.in_floats(), stage.numbers.in_floats(), stage.system
+    loop, exact, system = stage.loop.in_floats(), stage.numbers, stage.system
     n, r = loop.n, loop.r
-    combination, spread = remainder_of(stage.loop, stage.numbers)
+    exact = replace(exact, middle=exact.middle + rational(off))  # phi_m may be any numbers
+    numbers = exact.in_floats()
+    combination, spread = remainder_of(stage.loop, exact)
     hand = ErrorsByHand(system, 1.5, np.zeros(r))
     weights = np.array([float(v) for v in combination.weights])
     slope = np.array([float(v) for v in combination.slope])
@@ -274,6 +310,8 @@ def test_the_remainder_holds_what_it_stands_for(stage):
         assert abs(value - middle) <= float(spread) + 1e-9
         found.append(value)
         middles.append(middle)
+    if off:
+        return
     low, high = numbers.remainder
     assert low <= min(found) and max(found) <= high
     assert high - low <= 1.3 * (max(middles) - min(middles)) + 2.3 * float(spread) + 1e-6
@@ -305,6 +343,80 @@ def test_a_region_is_wider_than_what_is_known_and_not_much(stage):
             texts = tuple(map(str, pair))
             changed = replace(region, **{name: texts})
             assert "range" in failed_region(loop, ranges, stage.moved, changed)
+
+
+@pytest.mark.parametrize("value", ["0.5", "-0.5", "0", "3", "1e-300", "-123456.789", "1/3"])
+def test_texts_of_an_interval_are_strictly_wider(value):
+    """Also where it is a point that is a short decimal itself."""
+    exact = flint.fmpq(1, 3) if value == "1/3" else rational(value)
+    for width in (rational(0), rational("0.25")):
+        for part in (WIDER, LOOSER):
+            low, high = map(from_text, wider_texts(exact, exact + width, part))
+            assert low < exact and high > exact + width
+            more = rational(part) * width + rational("3e-12") * (abs(exact) + width)
+            more += rational("1e-299")
+            assert low >= exact - more and high <= exact + width + more
+
+
+@pytest.mark.parametrize("constant", [1e6, -1e6])
+def test_ranges_beside_a_large_constant_are_confirmed(constant):
+    """They are as narrow as the roundings of the constant, for which there is room."""
+    stage = first_stage("plain")
+    x1 = formulas_of(stage.system).states[0]
+    drift = sympy.Rational(constant) + x1 / 10**7
+    ranges = Ranges(SimpleNamespace(states=(x1,), drift=drift, regressor=()), stage.loop)
+    region = next_region(stage.loop, ranges, stage.known)
+    assert failed_region(stage.loop, ranges, stage.known, region) == ""
+    low, high = map(float, region.drift)
+    assert low < constant < high and high - low < 0.01
+
+
+def test_a_row_has_nothing_of_errors_that_the_law_cancels(stage):
+    """With k = nu_x, ubar is linear in theta_tilde alone."""
+    numbers = replace(stage.numbers, slope=stage.loop.nu_x)
+    n = stage.loop.n
+    expected = [*([0] * n), *stage.numbers.middle, 0]
+    assert numbers.linear_row(stage.loop).tolist() == expected
+
+
+def held_by(part, first, second):
+    """Whether a box is inside of two that differ in one direction, where they meet."""
+    cut = [i for i, (a, b) in enumerate(zip(first, second, strict=True)) if a != b]
+    ends = [(a[0], b[1]) for a, b in zip(first, second, strict=True)]
+    inside = all(e[0] <= p[0] and p[1] <= e[1] for p, e in zip(part, ends, strict=True))
+    return inside and len(cut) <= 1 and all(second[i][0] <= first[i][1] for i in cut)
+
+
+def test_halves_of_a_part_hold_all_of_it():
+    """Exactly, in spite of the roundings of their middles and half widths."""
+    met = []
+
+    class Recorded(Ranges):
+        def _on(self, chosen, middle, width):
+            met.append(
+                [
+                    (Fraction(m) - Fraction(w), Fraction(m) + Fraction(w))
+                    for m, w in zip(middle.tolist(), width.tolist(), strict=True)
+                ]
+            )
+            return -1.0, 1.0 + len(met), 0.0, width
+
+    stage, rng = first_stage("plain"), np.random.default_rng(11)
+    ranges = Recorded(formulas_of(stage.system), stage.loop)
+    for scale in (1e-8, 0.1, 1.0, 1e6):
+        for centre in (0.0, *rng.normal(size=4)):
+            met.clear()
+            half = rng.uniform(0, scale, 2)
+            box = np.array([centre - half, centre + half]).T
+            ranges._end(None, box, 1.0, -math.inf, 41)
+            whole, *halves = met
+            for (low, high), (a, b) in zip(whole, box.tolist(), strict=True):
+                assert low <= Fraction(a) and Fraction(b) <= high
+            parents = [whole]
+            for first, second in zip(halves[::2], halves[1::2], strict=True):
+                parents.remove(next(part for part in parents if held_by(part, first, second)))
+                parents += [first, second]
+            assert len(parents) == 21
 
 
 def test_box_of_states_holds_errors_and_reference(stage):
@@ -402,10 +514,14 @@ def test_a_row_over_the_box_is_that_over_the_errors(stage):
     assert row_over_box(forms, row) @ np.append(zeta, 1) == pytest.approx(row @ z)
 
 
-def test_forms_with_the_reference_are_the_same_in_another_order(stage):
+@pytest.mark.parametrize("inputs", [True, False])
+def test_forms_with_the_reference_are_the_same_in_another_order(stage, inputs):
     """y_i' = Y_{i+1}/Y_i y_{i+1}; y_0 ... y_q are behind the errors, all else as it was."""
     rng = np.random.default_rng(7)
     loop, forms = stage.loop.in_floats(), stage.floats
+    if not inputs:
+        loop = replace(loop, Ub=loop.Ub[:, :0])
+        forms = forms_of(loop, stage.numbers.in_floats())
     assert knows_reference(loop)
     assert not knows_reference(replace(loop, Y=np.append(0.0, loop.Y[1:])))
     wide = with_reference(loop, forms)
@@ -525,6 +641,50 @@ def test_the_conditions_on_polynomials_are_those_of_the_loop(name, reference):
     assert next(conditions, None) is None
 
 
+@pytest.mark.parametrize("corner", [0, 1])
+def test_an_input_that_acts_at_one_corner_alone_has_a_majorant(corner):
+    """On the rates or on the relation; one that acts at neither has none."""
+    forms = first_stage("gain").forms
+    zero, place = rational(0), forms.width - 1
+    for acts, rate, relation in ((True, 1, 0), (True, 0, 1), (False, 0, 0)):
+        corners = []
+        for i, old in enumerate(forms.corners):
+            F, row = old.F.copy(), old.relation.copy()
+            F[:, place], row[place] = zero, zero
+            if i == corner:
+                F[0, place], row[place] = rational(rate), rational(relation)
+            corners.append(replace(old, F=F, relation=row))
+        layout = layout_of(replace(forms, corners=tuple(corners)), 4)
+        found = [c for c in layout.channels if place in [column for column, _ in c.entries]]
+        assert len(found) == acts
+        assert all(sorted(c.groups) == [(0,), (1,)] for c in found)
+
+
+def test_a_sweep_is_tried_once_for_every_row(monkeypatch):
+    """On the first stage and its upper side; the lower side begins where that ended."""
+    stage, asked = first_stage("plain"), []
+
+    class Asked:
+        def __init__(self, *parts, reference):
+            self.reference = reference
+
+        def bound(self, rows, wanted, rate, sweep):
+            asked.append((self.reference, wanted, tuple(sweep), rate.alpha))
+            rate.alpha = 7.0 + wanted[0]
+
+    monkeypatch.setattr(polynomial_stages_room, "RowSolver", Asked)
+    sweep, rows = (1.5, 3.0), range(len(stage.forms.sectors))
+    found = polynomial_stages(stage.loop, stage.ranges, stage.known, sweep, lambda *parts: None)
+    assert found == []
+    first = [
+        (False, (i, side), sweep if side > 0 else (), 1.5 if side > 0 else 7.0 + i)
+        for i in rows
+        for side in (1, -1)
+    ]
+    second = [(True, (i, side), (), 7.0 + i) for i in rows for side in (1, -1)]
+    assert asked == first + second
+
+
 def test_a_quartic_on_a_first_box_is_proven_and_better():
     """One program of degree 4, with and without the reference among the variables."""
     stage, bounds = first_stage("plain"), []
@@ -609,6 +769,61 @@ def test_what_the_program_finds_holds_and_is_proven_so(stage):
     assert "no row" in failed_part(forms, replace(proof, claims=(before,)), stage.rows)
 
 
+@cache
+def stated(name):
+    """A proof of both sides of e_n on the first box."""
+    stage = first_stage(name)
+    forms, wanted = stage.forms, ((stage.loop.n - 1, 1), (stage.loop.n - 1, -1))
+    asked = [row_over_box(forms, side * stage.rows[error]) for error, side in wanted]
+    alpha = 1.5 * float(from_text(stage.proof.alpha))
+    found = BootstrapProgram(stage.floats, 2).solve(alpha, np.array(asked).astype(float))
+    return prove_function(forms, found, wanted, stage.rows)
+
+
+@pytest.mark.parametrize("name", ["plain", "both"])
+@pytest.mark.parametrize("kind", ["squares", "inputs", "sectors"])
+def test_no_multiplier_may_be_negative_however_little(name, kind):
+    """One alone, by so little that every matrix may stay definite: its sign is what fails."""
+    stage, proof = first_stage(name), stated(name)
+    texts = getattr(proof, kind)
+    for i in range(len(texts)):
+        for text in ("-1e-200", "-1e-12", "-1"):
+            forged = replace(proof, **{kind: (*texts[:i], text, *texts[i + 1 :])})
+            assert "negative" in failed_part(stage.forms, forged, stage.rows)
+        zero = replace(proof, **{kind: (*texts[:i], "0", *texts[i + 1 :])})
+        assert "negative" not in failed_part(stage.forms, zero, stage.rows)
+
+
+@pytest.mark.parametrize("name", ["plain", "both"])
+def test_what_a_quadratic_proof_must_have_is_named(name):
+    """Each condition alone: signs, symmetry, shapes, and the regressor's multipliers."""
+    stage, proof = first_stage(name), stated(name)
+    assert failed_part(stage.forms, proof, stage.rows) == ""
+    claim, G = proof.claims[0], proof.G
+    off = (*G[:1], (str(float(G[1][0]) + 1e-9), *G[1][1:]), *G[2:])
+    faults = {
+        "alpha is not positive": [{"alpha": "0"}, {"alpha": "-1e-200"}],
+        "G is not symmetric": [{"G": off}],
+        "a scale is not positive": [
+            {"claims": (claim, replace(claim, scale=text))} for text in ("0", "-1e-200")
+        ],
+        "a claim is of no row": [{"claims": (claim, replace(claim, side=side))} for side in (0, 2)],
+        "the function is below": [{"claims": (claim, replace(claim, bound="-1e3"))}],
+    }
+    for kind in ("squares", "inputs", "sectors", "mu", "scales", "turns"):
+        texts = getattr(proof, kind)
+        faults.setdefault("shape", []).append({kind: (*texts, "0")})
+        faults["shape"] += [{kind: texts[:-1]}] if texts else []
+    for i in range(0, len(proof.scales), 6):
+        for at in (0, 2, 5):  # the diagonal of a D_i
+            scales = [*proof.scales[: i + at], "0", *proof.scales[i + at + 1 :]]
+            fault = "a multiplier of the regressor is not positive definite"
+            faults.setdefault(fault, []).append({"scales": tuple(scales)})
+    for reason, changes in faults.items():
+        for change in changes:
+            assert reason in failed_part(stage.forms, replace(proof, **change), stage.rows)
+
+
 def test_one_function_for_two_rows_is_no_better_than_one_for_each(stage):
     forms, loop = stage.floats, stage.loop
     row = stage.rows[loop.n - 1].astype(float)
@@ -636,6 +851,21 @@ def test_a_matrix_that_only_floats_take_for_definite_is_not_proven():
                 assert proven_definite(matrix) == definite
     assert not proven_definite(np.array([[-one]], dtype=object))
     assert proven_definite(np.array([[tiny]], dtype=object))
+
+
+def test_no_singular_matrix_is_proven_definite():
+    """b b^T/7 leaves exactly zeros behind a factor that floats have: no row may be as large."""
+    factored = 0
+    for b in itertools.product(range(-9, 10), repeat=2):
+        matrix = np.array([[flint.fmpq(v * w, 7) for v in b] for w in b])
+        try:
+            np.linalg.cholesky(matrix.astype(float))
+            factored += 1
+        except np.linalg.LinAlgError:
+            pass
+        assert not proven_definite(matrix)
+        assert proven_definite(matrix + np.diag([flint.fmpq(1, 1000)] * 2))
+    assert factored > 10  # of rank one, and taken for definite
 
 
 # The search ---------------------------------------------------------------------------------------
@@ -740,6 +970,17 @@ def test_rates_without_a_bound_are_left_behind(start):
     assert least > math.sqrt(4.0 * 10.0)
 
 
+@pytest.mark.parametrize(("slope", "expected"), [(1.0, 4.0), (-1.0, 25.0)])
+def test_an_alpha_that_contradicts_itself_is_believed_anew(slope, expected):
+    """The programs change: where the bound fell with alpha it rises now, or the other way round."""
+    rate = Rate(10.0)
+    rate.met(-slope)
+    rate.alpha = 10.0
+    rate.met(slope)
+    assert not rate.surrounded
+    assert rate.alpha == pytest.approx(expected)
+
+
 def test_a_sweep_is_gone_on_from_its_best():
     program, rate = Parabola(3.0), Rate(0.5)
     found = best_of_rates(program, np.zeros((1, 2)), rate, 0, (0.1, 1.0, 4.0, 20.0))
@@ -751,6 +992,16 @@ def test_a_sweep_is_gone_on_from_its_best():
 # What a file may hold -----------------------------------------------------------------------------
 
 
+def written_stage():
+    """A stage of order one, as a file has it; nothing is proven by it."""
+    pair, claim = ["-1", "1"], {"error": 0, "side": 1, "scale": "2", "bound": "0.5"}
+    region = {"box": [pair, pair], "middle": [], "slope": ["0"], "row": pair, "regressor": []}
+    region |= {"drift": pair, "remainder": pair, "reach": ["1"]}
+    names = ("squares", "inputs", "sectors", "mu", "scales", "turns")
+    function = {"alpha": "1", "G": [["1"]], **{name: ["0"] for name in names}, "claims": [claim]}
+    return {"region": region, "functions": [function]}
+
+
 @cache
 def small_document():
     system = SYSTEMS["gain"]
@@ -760,7 +1011,7 @@ def small_document():
 
 def test_a_file_holds_as_many_parts_as_it_may_and_no_more():
     """Stages, functions, claims, and entries of a list; each limit is admitted, one more is not."""
-    stage = small_document()["proof"][1]
+    stage = written_stage()
     assert len(bootstrap_stages([stage] * 64)) == 64
     with pytest.raises(InputError, match="at most 64 stages"):
         bootstrap_stages([stage] * 65)
@@ -828,10 +1079,12 @@ def test_bounds_on_a_box_hold_and_are_near(formula):
         assert ranges.within(chosen, place, low - 1, high + 1)
         assert not ranges.within(chosen, place, values.min() + room, high)
         assert not ranges.within(chosen, place, low, values.max() - room)
-        third = Combination((rational("0.5"),), (rational(0),), rational(0))
-        half = ranges.bounds(third, place)
         plain = sympy.lambdify(x1, expr)(x)
-        assert half[1] == pytest.approx(plain.max() / 2, abs=0.03 * np.ptp(plain))
+        for weight in (0.5, -1.0, 0.0, -2.0):
+            weighted = Combination((rational(weight),), (rational(0),), rational(0))
+            ends = sorted((weight * plain.min(), weight * plain.max()))
+            found = ranges.bounds(weighted, place)
+            assert found == pytest.approx(ends, abs=0.03 * np.ptp(plain) * abs(weight) + 1e-9)
     fitted = ranges.fitted_slope(place, 400)
     points = np.random.default_rng(0).uniform(*place.T, (4000, 2)).sum(axis=1)
     expected = np.polyfit(points, sympy.lambdify(x1, expr)(points), 1)[0]

@@ -18,7 +18,7 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.online import certify as room
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.online.certify import OnlineProof, certify_online, failed_online
-from certrack.certificates.online.ends import end_problems
+from certrack.certificates.online.ends import _with_inputs_of_both, end_problems
 from certrack.certificates.online.rates import (
     RateProgram,
     RateSolution,
@@ -416,6 +416,55 @@ def test_an_adaptive_law_that_shares_all_is_covered_by_its_slower_end():
     assert problem.M[-1, -1] == error_problem(other_end_system(turned), rational).M[-1, -1]
 
 
+OF_ORDER_THREE = """
+[plant]
+states = ["x1", "x2", "x3"]
+chain = [1, 1]
+drift = "-0.3*x3"
+regressor = ["sin(x1)"]
+gain_sign = 1
+[plant.uncertainty]
+tau = [0.05, 0.05, 0.1]
+gamma = [0.1, 0.1, 0.1]
+beta = [0.1, 0.1, 0.1]
+[truth]
+input_gain = 2
+theta = [0.5]
+omega = ["0.1*sin(t)", "0.1*cos(t)", "0.1*sin(2*t)"]
+[reference]
+signal = "0.2*sin(t)"
+[law]
+kind = "adaptive"
+c = [1, 2, 9]
+gain_rate = 1
+leak_gain = 0.5
+leak_theta = 0.5
+delta0 = 0.5
+theta0 = [0.4]
+online = {c_n = 3, threshold = 0.01, rise = 2, fall = 0.3}
+[simulation]
+x0 = [0.1, 0, 0]
+duration = 10
+tail = 2
+"""
+
+
+@pytest.mark.parametrize(("first", "other"), [(9.0, 3.0), (3.0, 9.0)])
+def test_the_slower_end_is_that_of_the_smaller_last_gain_at_any_order(first, other):
+    """V' holds M[n, n] = -c_n + ... of the slower end for all that are between."""
+    system = certrack.loads(OF_ORDER_THREE)
+    online = replace(system.law.online, c_n=other)
+    system = system.replace(law=replace(system.law, c=(1.0, 2.0, first), online=online))
+    assert other_end(system.law).c == (1.0, 2.0, other)
+    ends = [error_problem(end(system), rational) for end in (first_end_system, other_end_system)]
+    assert abs(ends[1].M[-1, -1] - ends[0].M[-1, -1]) == rational(abs(first - other))
+    (problem,) = end_problems(system)
+    assert (problem.M == ends[first > other].M).all()
+    off = np.abs(ends[1].M - ends[0].M)
+    off[-1, -1] = rational(0)
+    assert not off.any()  # the last gain stands nowhere else
+
+
 def test_a_column_that_acts_at_one_end_is_there_at_both():
     """y_d^(q+1) acts where r makes no static error by it at one end only."""
     base = certrack.load("dual-motor-linear")
@@ -427,6 +476,32 @@ def test_a_column_that_acts_at_one_end_is_there_at_both():
     assert problems[0].derivatives == problems[1].derivatives
     assert problems[0].counts == problems[1].counts
     assert [p.Uy.shape for p in problems] == [p.Xy.shape for p in problems]
+
+
+@pytest.mark.parametrize("shorter", [0, 1])
+def test_an_input_that_one_end_has_not_acts_at_the_other_alone(moving, shorter):
+    """Its column is zero there, so that the inequality is that without it, whatever its share."""
+    problems = list(moving[1])
+    whole = problems[shorter]
+    less = replace(
+        whole, Uy=whole.Uy[:, :-1], Xy=whole.Xy[:, :-1], derivatives=whole.derivatives[:-1]
+    )
+    problems[shorter] = less
+    both = _with_inputs_of_both(*problems)
+    assert both[1 - shorter] is problems[1 - shorter]
+    wide = both[shorter]
+    assert (wide.derivatives, wide.counts) == (whole.derivatives, whole.counts)
+    assert wide.Uy.shape == whole.Uy.shape and wide.Xy.shape == whole.Xy.shape
+    assert (wide.Uy[:, :-1] == less.Uy).all() and (wide.Xy[:, :-1] == less.Xy).all()
+    assert not wide.Uy[:, -1].any() and not wide.Xy[:, -1].any()
+    rng, n = np.random.default_rng(1), less.n
+    P = rng.normal(size=(n, n))
+    lam, nu, k = (rng.uniform(0.1, 1, count) for count in whole.counts)
+    P, size = P + P.T, n + sum(less.counts)
+    form = wide.in_floats().inequality(P, lam, nu, k, 0.3)
+    short = less.in_floats().inequality(P, lam, nu, k[:-1], 0.3)
+    np.testing.assert_allclose(form[:size, :size], short, rtol=1e-12, atol=1e-12)
+    assert not form[-1, :-1].any() and form[-1, -1] < 0
 
 
 def test_gains_that_stand_still_have_no_ends():
@@ -485,6 +560,38 @@ def test_numbers_that_are_not_positive_are_refused(name, value):
     with pytest.raises(InputError) as caught:
         Online(**stated)
     assert caught.value.key == f"law.online.{name}"
+
+
+@pytest.mark.parametrize("name", ["amplitude", "frequency", "speed", "effort"])
+def test_numbers_of_what_is_tried_must_be_positive(name):
+    stated = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2, "effort": 0.1}
+    assert getattr(Online(c_n=3.0, **(stated | {name: 1e-9})), name) == 1e-9
+    for value in (0.0, -0.5, -1.0, np.inf, np.nan):
+        with pytest.raises(InputError) as caught:
+            Online(c_n=3.0, **(stated | {name: value}))
+        assert caught.value.key == f"law.online.{name}"
+
+
+def test_a_seed_is_an_integer_of_31_bits():
+    stated = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2}
+    for seed in (0, 1, 2**31 - 1):
+        assert Online(c_n=3.0, **stated, seed=seed).seed == seed
+    for seed in (-1, 2**31, 0.5):
+        with pytest.raises(InputError, match=r"law\.online\.seed"):
+            Online(c_n=3.0, **stated, seed=seed)
+
+
+def test_each_rule_excludes_the_others():
+    sought = {"seek": "spsa", "amplitude": 0.1, "frequency": 0.5, "speed": 0.2}
+    for others, key in (
+        (sought | RULE, "seek"),
+        (sought | {"schedule": "0.5"}, "seek"),
+        (RULE | {"schedule": "0.5"}, "threshold"),
+        ({}, "threshold"),
+    ):
+        with pytest.raises(InputError) as caught:
+            Online(c_n=3.0, **others)
+        assert caught.value.key == f"law.online.{key}"
 
 
 @pytest.mark.parametrize("name", ["c", "Gamma"])

@@ -272,6 +272,15 @@ def narrower(pair):
     return (times(str(low + 0.02 * (high - low)), 1), times(str(high - 0.02 * (high - low)), 1))
 
 
+def test_monomials_of_a_function_are_counted_by_half_its_degree():
+    """Of four variables a Gram matrix has C(4 + d/2, 4) rows: 126 for d = 10, 210 for d = 12."""
+    stage = one_stage("example1")
+    for degree in (6, 8, 10):
+        assert "shape" in stage.fails(dataclasses.replace(stage.functions[0], degree=degree))
+    for degree in (12, 14):
+        assert "many" in stage.fails(dataclasses.replace(stage.functions[0], degree=degree))
+
+
 @pytest.mark.parametrize("key", ["box", "row", "regressor", "drift", "remainder", "reach"])
 def test_ranges_that_are_too_narrow_are_refused(key):
     """A box that is not reached, and ranges that do not hold on it."""

@@ -49,7 +49,7 @@ GROUPS = {
     "input-bounds": Group(
         "certificates/input_* certificates/mean_squares", "input_bounds input_parts"
     ),
-    "online": Group("certificates/online/* laws/online", "online online_parts"),
+    "online": Group("certificates/online/* laws/online", "online online_parts seeking"),
     "bootstrap": Group("certificates/bootstrap/*", "bootstrap polynomials bootstrap_parts"),
     "ranges": Group(
         "certificates/ranges/*",

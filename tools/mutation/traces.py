@@ -48,7 +48,8 @@ class Trace:
         """Tests that run a mutant, and whether they must import it anew.
 
         The fastest first, those of a file together so that they share what they set up. Other tests
-        of the same files follow: what one test sets up or remembers may be judged by another.
+        of the same files follow, for as long again: what one test sets up or remembers may be
+        judged by another. One example of every test is taken before another of the same.
         """
         lines = self.lines.get(mutant.module, {})
         runners = {name for line in mutant.lines for name in lines.get(line, [])}
@@ -67,13 +68,26 @@ class Trace:
             near = name not in runners, name not in users
             return (anew and self.seconds[name] > QUICK, *near, self.seconds[name], name)
 
+        ranked = sorted(runners | others, key=rank)
+        chosen = self._affordable([name for name in ranked if name in runners])
+        chosen += self._affordable([name for name in ranked if name not in runners])
+        return sorted(chosen, key=lambda name: (name not in runners, *self._order(name))), anew
+
+    def _affordable(self, ranked: list[str]) -> list[str]:
+        """As many as the budget allows: the quick ones, and of the others examples by turns."""
+        seen: dict[str, int] = {}
+        turns = []
+        for name in ranked:
+            test = name.partition("[")[0]
+            seen[test] = seen.get(test, 0) + 1
+            turns.append((seen[test] if self.seconds[name] > QUICK else 0, name))
         chosen, total = [], 0.0
-        for name in sorted(runners | others, key=rank):
+        for _, name in sorted(turns, key=lambda turn: turn[0]):  # stable: else as they are ranked
             total += self.seconds[name]
             if total > BUDGET:
                 break
             chosen.append(name)
-        return sorted(chosen, key=lambda name: (name not in runners, *self._order(name))), anew
+        return chosen
 
     @cached_property
     def _everyone(self) -> set[str]:
