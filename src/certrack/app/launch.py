@@ -14,7 +14,7 @@ from typing import Any
 
 from certrack.app.workspace import Workspace
 from certrack.core.errors import InputError, MissingExtra
-from certrack.systems.shipped import catalog, shipped_text
+from certrack.systems.shipped import shipped_names, shipped_text
 
 #: A key to be used in the place of a new one, so that a page finds a server that was started anew.
 KEY_VARIABLE = "CERTRACK_APP_KEY"
@@ -38,8 +38,8 @@ def first_design(file: str | None, folder: Path) -> str:
         return ""
     path = Path(file)
     if path.suffix == "" and not path.exists():
-        if file not in catalog():
-            remedy = "Shipped: " + ", ".join(catalog())
+        if file not in shipped_names():
+            remedy = "Shipped: " + ", ".join(shipped_names())
             raise InputError(file, "is neither a file nor a shipped system", remedy=remedy)
         return f"catalog {file}"
     if not path.is_file():

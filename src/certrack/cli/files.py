@@ -47,11 +47,11 @@ def new(name: Path, shipped: str | None, as_json: bool) -> None:
     from certrack.cli import console
     from certrack.core.errors import InputError
     from certrack.core.files import write_text
-    from certrack.systems.shipped import catalog, starter
+    from certrack.systems.shipped import shipped_names, starter
 
     if not name.name:
         raise click.UsageError("NAME must be a file name", click.get_current_context())
-    if shipped is not None and shipped not in (known := catalog()):
+    if shipped is not None and shipped not in (known := shipped_names()):
         raise InputError("--from", "must be one of " + ", ".join(known), shipped)
     path = name if name.suffix else name.with_suffix(".toml")
     write_text(path, starter(shipped), overwrite=False)

@@ -23,7 +23,7 @@ from certrack.model.truth import Truth, constants_of_truth
 from certrack.systems.keys import LAW_TABLES, TABLES, TRUTH_TABLES, law_keys
 from certrack.systems.lines import line_of
 from certrack.systems.reference_reader import read_reference
-from certrack.systems.shipped import catalog, shipped_text
+from certrack.systems.shipped import shipped_names, shipped_text
 from certrack.systems.system import Settings, System
 from certrack.systems.tables import read_bytes, read_values, refuse_keys_of_another
 from certrack.systems.toml import parse_toml
@@ -82,7 +82,7 @@ def load(source: str | os.PathLike[str]) -> System:
     path = Path(source)
     try:
         if path.suffix == "" and (
-            not path.exists() or (path.is_dir() and str(source) in catalog())
+            not path.exists() or (path.is_dir() and str(source) in shipped_names())
         ):
             return loads(shipped_text(str(source)), f"{source}.toml")
         data = read_bytes(path)

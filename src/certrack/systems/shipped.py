@@ -22,15 +22,13 @@ def catalog() -> dict[str, str]:
     >>> certrack.catalog()["example1-classic"]
     'Second-order benchmark (Actuators 14:367, Example 1), classic law'
     """
-    folder = files("certrack.systems") / "catalog"
-    names = sorted(
-        entry.name.removesuffix(".toml")
-        for entry in folder.iterdir()
-        if entry.name.endswith(".toml")
-    )
-    return {
-        name: tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))["title"] for name in names
-    }
+    return {name: tomllib.loads(shipped_text(name))["title"] for name in shipped_names()}
+
+
+def shipped_names() -> list[str]:
+    """Names of the shipped systems, none of which is read."""
+    entries = (files("certrack.systems") / "catalog").iterdir()
+    return sorted(e.name.removesuffix(".toml") for e in entries if e.name.endswith(".toml"))
 
 
 def starter(shipped: str | None = None) -> str:
@@ -58,7 +56,7 @@ def starter(shipped: str | None = None) -> str:
 
 def shipped_text(name: str) -> str:
     """The file of a shipped system."""
-    names = catalog()
+    names = shipped_names()
     if name not in names:
         raise InputError(
             name,
