@@ -261,7 +261,7 @@ def falsify(
 
     \b
     Example: certrack falsify example1 --out worst.toml
-    Example: certrack falsify dual-motor-drag --starts --box=-12:12,-12:12,-12:12,-12:12
+             certrack falsify dual-motor-drag --starts --box=-12:12,-12:12,-12:12,-12:12
     """
     if box is not None and not starts:
         raise InputError("--box", "is of the starts that --starts searches", box, "Add --starts")
