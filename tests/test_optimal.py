@@ -143,6 +143,7 @@ def test_the_shortest_time_to_a_reference_with_a_kink():
     assert time == pytest.approx(math.sqrt(3.5) - 0.5, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_no_law_is_better_on_an_axis_with_dry_friction():
     system = double_integrator(6, "-0.5*sign(x2)")
     found = optimal(system, elements=240)

@@ -57,6 +57,7 @@ def attacked():
     return falsify(certrack.loads(EASY), budget=1200)
 
 
+@pytest.mark.slow
 def test_the_adaptive_law_is_attacked_as_it_runs(tmp_path):
     found = attacked()
     drive = found.drive
