@@ -1,9 +1,10 @@
 // The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
 import { byId, element, style, write } from "./dom.js";
-import { change } from "./numbers.js";
+import { change, format } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
 const STATUSES = ["contradicted", "assumed", "checked", "proven"];
+const LEAST_CHANGE = 0.005;
 const LESS_IS_BETTER = new Set(["settling_time", "tail_error", "rms_error", "integral_abs_error", "peak_input", "input_energy", "input_variation"]);
 
 export class Guarantee {
@@ -157,6 +158,18 @@ export class Guarantee {
     if (broken) byId("premises-card").open = true;
   }
 
+  /** Why the bound is another one than before: the parts that have changed most, where both are of one method. */
+  since(bound) {
+    const { before, system } = this.state, was = bound?.effort === "default" ? before?.bound : before?.fast;
+    const alike = was?.bound && bound?.bound && was.method === bound.method && was.shares_of === bound.shares_of && (bound.effort !== "default" || was.effort === "default");
+    if (!alike || Math.abs(bound.bound / was.bound - 1) < LEAST_CHANGE) return "";
+    const parts = new Map(bound.shares.map(([name, share]) => [name, share * bound.bound]));
+    for (const [name, share] of was.shares) parts.set(name, (parts.get(name) ?? 0) - share * was.bound);
+    const rose = bound.bound > was.bound, most = [...parts].filter(([, by]) => by > 0 === rose).sort(([, a], [, b]) => Math.abs(b) - Math.abs(a)).slice(0, 2);
+    const words = most.map(([name, by]) => `${cause(name)} ${rose ? "+" : "−"}${format(Math.abs(by), 2)}`);
+    return `${change(was.bound, bound.bound)} against before, mostly by ${words.join(" and ")} ${system.units[0]}`.trim().concat(".");
+  }
+
   /** Shares of the bound, always in the same order. */
   budget(bound) {
     const box = byId("budget"), rows = [...(bound?.shares ?? [])].sort(([a], [b]) => (a < b ? -1 : 1));
@@ -172,6 +185,7 @@ export class Guarantee {
       box.children[k].querySelector("i").style.transform = `scaleX(${Math.min(1, Math.max(0, share))})`;
     });
     write(byId("budget-of"), bound?.shares_of && bound.shares_of !== bound.method ? `in the ${bound.shares_of}` : "");
+    write(byId("budget-change"), this.since(bound));
     const most = rows.reduce((best, row) => (best && best[1] >= row[1] ? best : row), null);
     write(byId("budget-hint"), most ? `A tenth less of the largest part (${cause(most[0])}) lowers the bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
   }
