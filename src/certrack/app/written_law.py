@@ -31,7 +31,7 @@ def law_frame(system: System, design: int) -> bytes:
     for row in plant:
         row[1] = f"({PLANT})"
     ends = str(found).splitlines()[len(law) :]
-    notes = [line for line in ends if line.startswith(("kappa", "fastest", "margins"))]
+    notes = [line for line in ends if line.startswith(("kappa", "fastest", "margins at u"))]
     if found.coordinates.q and numbers("u = "):
         notes.append("The paper's is that of q = 0: no derivative of y_d in its virtual controls.")
     header: dict[str, Any] = {"plant": plant, "law": law, "notes": notes}

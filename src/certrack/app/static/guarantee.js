@@ -70,7 +70,9 @@ export class Guarantee {
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
     if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
     if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
-    return "largest |e₁| once settled, for everything the premises admit";
+    const all = "largest |e₁| once settled, for everything the premises admit";
+    if (!bound.exact) return `${all}: estimated, which proves nothing; the proof follows`;
+    return bound.refining ? `${all}, by the fast proof; a finer one, which may be smaller, is on its way` : all;
   }
 
   /** An admissible case beyond the bound, or a remedy of a contradicted premise. */
@@ -122,7 +124,8 @@ export class Guarantee {
       write(cells[3], shift);
       style(cells[3], better && shift[0] === "−" ? "down" : better && shift[0] === "+" ? "up" : "");
     };
-    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, bound?.exact ? bound.bound : null, true);
+    const alike = bound?.exact && !(bound.refining && before?.bound?.effort === "default"); // a fast proof may be worse than the finer one
+    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, alike ? bound.bound : null, true);
     const same = before?.run?.header.sampled === header.sampled;
     names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
   }
@@ -166,8 +169,9 @@ export class Guarantee {
     const parts = new Map(bound.shares.map(([name, share]) => [name, share * bound.bound]));
     for (const [name, share] of was.shares) parts.set(name, (parts.get(name) ?? 0) - share * was.bound);
     const rose = bound.bound > was.bound, most = [...parts].filter(([, by]) => by > 0 === rose).sort(([, a], [, b]) => Math.abs(b) - Math.abs(a)).slice(0, 2);
-    const words = most.map(([name, by]) => `${cause(name)} ${rose ? "+" : "−"}${format(Math.abs(by), 2)}`);
-    return `${change(was.bound, bound.bound)} against before, mostly by ${words.join(" and ")} ${system.units[0]}`.trim().concat(".");
+    const own = bound.shares_of === bound.method; // of another method the order holds, not the size
+    const words = most.map(([name, by]) => (own ? `${cause(name)} (${rose ? "+" : "−"}${format(Math.abs(by), 2)} ${system.units[0]}`.trim().concat(")") : cause(name)));
+    return `${change(was.bound, bound.bound)} against before, mostly by ${words.join(" and ")}.`;
   }
 
   /** Shares of the bound, always in the same order. */
@@ -211,7 +215,7 @@ export function cause(name) {
   const state = /^w_(\d+) \(state\)/.exec(name), disturbance = /^w_(\d+)/.exec(name), order = /^y_d\^\((\d+)\)/.exec(name);
   if (state) return `disturbance w${state[1]}, its growth with the state`;
   if (disturbance) return `disturbance w${disturbance[1]}`;
-  if (order) return order[1] === "0" ? "reference" : `reference, derivative ${order[1]}`;
+  if (order) return order[1] === "0" ? "reference" : `derivative ${order[1]} of the reference`;
   return name === "estimates" ? "unknown parameters" : name;
 }
 

@@ -34,7 +34,7 @@ export function formula(text) {
 function part(token) {
   const order = /^y_d\^\((\d+)\)$/.exec(token);
   if (order) return element("var", {}, nameElement("y_d"), element("sup", {}, `(${order[1]})`));
-  if (token === "*") return "\u2009·\u2009";
+  if (token === "*") return "\u202f·\u202f"; // a line ends before a sign, not within a product
   if (token === "-") return "−";
   if (!/^[A-Za-z_]/.test(token)) return token;
   const name = token.replace(/'$/, "");
