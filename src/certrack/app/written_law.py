@@ -24,15 +24,15 @@ def law_frame(system: System, design: int) -> bytes:
     design : int
         Whose gains the numbers are of.
     """
-    found = system.design()
+    result = system.design()
     numbers = paper_numbers(system)
-    parts = (plant_as_text(system), found.formulas)
+    parts = (plant_as_text(system), result.formulas)
     plant, law = ([[text, numbers(text)] for text in formulas] for formulas in parts)
     for row in plant:
         row[1] = f"({PLANT})"
-    ends = str(found).splitlines()[len(law) :]
+    ends = str(result).splitlines()[len(law) :]
     notes = [line for line in ends if line.startswith(("kappa", "fastest", "margins at u"))]
-    if found.coordinates.q and numbers("u = "):
+    if result.coordinates.q and numbers("u = "):
         notes.append("The paper's is that of q = 0: no derivative of y_d in its virtual controls.")
     header: dict[str, Any] = {"plant": plant, "law": law, "notes": notes}
     return pack_frame(FrameKind.LAW, header, design=design)
@@ -41,13 +41,13 @@ def law_frame(system: System, design: int) -> bytes:
 def paper_numbers(system: System) -> Any:
     """What tells the number of a formula by its left side; of other laws than the paper's none."""
     law = system.law
-    own = law.kind not in CONTROL or getattr(law, "coupling", 0) or getattr(law, "integral", 0)
+    differs = law.kind not in CONTROL or getattr(law, "coupling", 0) or getattr(law, "integral", 0)
     n = system.plant.n
 
     def number(formula: str) -> str:
         left, equals, _ = formula.partition(" = ")
         letter, _, index = left.partition("_")
-        if own or not equals:
+        if differs or not equals:
             return ""
         if letter == "e" and 1 <= int(index) <= n:
             return f"({ERRORS})"
