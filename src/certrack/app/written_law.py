@@ -9,10 +9,10 @@ from certrack.systems.formulas import plant_as_text
 from certrack.systems.system import System
 
 #: Numbers of the paper: plant, errors, virtual controls of the first steps and of any, update laws.
-PLANT, ERRORS, VIRTUAL, ANY_VIRTUAL, UPDATE = 5, 6, (9, 13), 18, 26
+PLANT_NUMBER, ERROR_NUMBER, STEP_NUMBERS, ANY_STEP_NUMBER, UPDATE_NUMBER = 5, 6, (9, 13), 18, 26
 
 #: The input of the laws that are the paper's; the robust one knows what the other estimates.
-CONTROL = {"adaptive": "(25)", "robust": "Corollary 1"}
+CONTROL_NUMBERS = {"adaptive": "(25)", "robust": "Corollary 1"}
 
 
 def law_frame(system: System, design: int) -> bytes:
@@ -29,7 +29,7 @@ def law_frame(system: System, design: int) -> bytes:
     parts = (plant_as_text(system), result.formulas)
     plant, law = ([[text, numbers(text)] for text in formulas] for formulas in parts)
     for row in plant:
-        row[1] = f"({PLANT})"
+        row[1] = f"({PLANT_NUMBER})"
     ends = str(result).splitlines()[len(law) :]
     notes = [line for line in ends if line.startswith(("kappa", "fastest", "margins at u"))]
     if result.coordinates.q and numbers("u = "):
@@ -41,7 +41,11 @@ def law_frame(system: System, design: int) -> bytes:
 def paper_numbers(system: System) -> Any:
     """What tells the number of a formula by its left side; of other laws than the paper's none."""
     law = system.law
-    differs = law.kind not in CONTROL or getattr(law, "coupling", 0) or getattr(law, "integral", 0)
+    differs = (
+        law.kind not in CONTROL_NUMBERS
+        or getattr(law, "coupling", 0)
+        or getattr(law, "integral", 0)
+    )
     n = system.plant.n
 
     def number(formula: str) -> str:
@@ -50,12 +54,12 @@ def paper_numbers(system: System) -> Any:
         if differs or not equals:
             return ""
         if letter == "e" and 1 <= int(index) <= n:
-            return f"({ERRORS})"
+            return f"({ERROR_NUMBER})"
         if letter == "lambda":
             step = int(index)
-            return f"({VIRTUAL[step - 1] if step <= len(VIRTUAL) else ANY_VIRTUAL})"
+            return f"({STEP_NUMBERS[step - 1] if step <= len(STEP_NUMBERS) else ANY_STEP_NUMBER})"
         if left in ("u", "nu"):
-            return CONTROL["adaptive"] if left == "nu" else CONTROL[law.kind]
-        return f"({UPDATE})" if left.endswith("'") else ""
+            return CONTROL_NUMBERS["adaptive"] if left == "nu" else CONTROL_NUMBERS[law.kind]
+        return f"({UPDATE_NUMBER})" if left.endswith("'") else ""
 
     return number
