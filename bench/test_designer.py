@@ -1,11 +1,13 @@
 """The designer: from an input event to its paint in a browser, and many pages at one server."""
 
 import asyncio
+import importlib.util
 import os
 import shutil
 import statistics
 import sys
 import time
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,9 @@ DRAG, MOVE, SWING = 6.0, 1 / 60, 5
 
 #: Pages without a browser, how long they move gains, s, and what they must get on a quiet machine.
 CLIENTS, CLIENT_SECONDS, GOAL_REPLY, GOAL_BOUNDS = 20, 60.0, 60, 2.0
+
+#: Pages in a browser beside them, and by how much server and workers may grow meanwhile, MB.
+RENDERED, MOST_GROWTH = 3, 200
 
 #: Laws and orders; the damping of the adaptive law is beyond floats at order 8.
 DESIGNS = [("robust", 2), ("robust", 4), ("robust", 8), ("adaptive", 2), ("adaptive", 4)]
@@ -92,16 +97,21 @@ def test_many_pages_move_gains_at_once(server, report):
             await first.receive("SYSTEM")
             await first.move(2)
             await first.receive("EXACT")
-        before = memory(server)
-        await asyncio.gather(*(client(k, replies, counts) for k in range(CLIENTS)))
-        return sorted(replies), sorted(counts), before, memory(server)
+        async with rendered_pages(server) as (rendered, errors):
+            before = memory(server)
+            clients = (client(k, replies, counts) for k in range(CLIENTS))
+            drags = (dragged_beside(shown) for shown in rendered)
+            *_, painted = await asyncio.gather(*clients, asyncio.gather(*drags))
+            assert not errors, "a page beside the clients has logged an error"
+            return sorted(replies), sorted(counts), painted, before, memory(server)
 
     spent = processor_time(server)
-    replies, counts, before, after = asyncio.run(all_of_them())
+    replies, counts, painted, before, after = asyncio.run(all_of_them())
     spent = {role: value - spent[role] for role, value in processor_time(server).items()}
     per_run = 1e3 * spent["run"] / len(replies)
     per_bound = 1e3 * spent["bound"] / (CLIENT_SECONDS * sum(counts))
-    assert len(counts) == CLIENTS
+    assert len(counts) == CLIENTS and sum(counts) > 0
+    assert after < before + MOST_GROWTH, "memory does not stay flat"
     report(
         f"{CLIENTS} pages for {CLIENT_SECONDS:g} s: {len(replies)} runs, reply "
         f"{statistics.median(replies):.0f} ms median, {replies[int(0.95 * len(replies))]:.0f} ms "
@@ -109,6 +119,59 @@ def test_many_pages_move_gains_at_once(server, report):
         f"(goal {GOAL_BOUNDS}); server and workers {before} -> {after} MB; "
         f"processor time {per_run:.1f} ms a run, {per_bound:.1f} ms a bound"
     )
+    for times in painted:
+        report(
+            f"beside them in a browser: {len(times)} moves painted, "
+            f"{statistics.median(times):.0f} ms median, "
+            f"{times[int(0.95 * len(times))]:.0f} ms at 95 %"
+        )
+
+
+@asynccontextmanager
+async def rendered_pages(server):
+    """Pages in a browser, and the errors that they log; no page without a browser."""
+    if CHROMIUM is None or importlib.util.find_spec("playwright") is None:
+        yield [], []
+        return
+    from playwright.async_api import async_playwright
+
+    errors = []
+    async with async_playwright() as session:
+        browser = await session.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        pages = []
+        for _ in range(RENDERED):
+            shown = await browser.new_page(viewport={"width": 1440, "height": 900})
+            shown.on("pageerror", lambda error: errors.append(str(error)))
+            shown.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+            await shown.goto(server.address + "&measure")
+            await shown.click("#start >> text=robust-4.toml")
+            await at_last(shown, EXACT)
+            pages.append(shown)
+        yield pages, errors
+        await browser.close()
+
+
+async def dragged_beside(shown):
+    """Milliseconds from moves to paints, ordered, while the clients move gains."""
+    box = await shown.locator('[data-path="law.c[0]"]').bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    await shown.mouse.move(x, y)
+    await shown.mouse.down()
+    begin = time.monotonic()
+    while (now := time.monotonic() - begin) < CLIENT_SECONDS:
+        await shown.mouse.move(x + SWING * ((now % 2) - 1 if now % 4 < 2 else 1 - now % 2), y)
+        await asyncio.sleep(MOVE)
+    await shown.mouse.up()
+    await at_last(shown, f"lab.flight.length === 0 && {EXACT}")
+    return sorted(await shown.evaluate("lab.paints.times"))
+
+
+async def at_last(shown, expression):
+    """Poll, as `wait` does."""
+    end = time.monotonic() + PATIENCE
+    while not await shown.evaluate(expression):
+        assert time.monotonic() < end, expression
+        await asyncio.sleep(0.05)
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 from app_client import PATIENCE, running
 
 import certrack
+from certrack.app.gains import with_gains
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import table
 from certrack.simulation.metrics import METRIC_LABELS
@@ -232,6 +233,46 @@ def test_a_contradicted_premise_strikes_the_number(shown):
     at_rest(page)
     assert page.inner_text("#badge").startswith("exact")
     assert certrack.loads(page.evaluate("lab.state.text")).plant.uncertainty.gamma == (0.5, 0.2)
+
+
+def test_the_law_is_shown_as_formulas_and_a_rise_of_the_bound_is_explained(shown):
+    page = shown()
+    wait(page, "document.querySelectorAll('#law .formula').length === 9")
+    page.click("#law-card summary")
+    law = page.locator("#law .formula")
+    texts = [row.get_attribute("aria-label") for row in law.locator("[role=math]").all()]
+    assert tuple(texts[2:]) == certrack.design(certrack.load("example1")).formulas
+    assert law.nth(3).locator(".number").inner_text() == "(9)"
+    assert law.nth(5).locator("var").first.inner_text() == "\u03bd", "nu is no n with an index u"
+    wait(page, "lab.state.before.bound?.effort === 'default'")
+    page.locator('.slider[data-path="law.c[0]"]').focus()
+    for _ in range(7):
+        page.keyboard.press("PageDown")
+    at_rest(page)
+    wait(page, "lab.state.bound.effort === 'default'")
+    wait(page, "document.querySelector('#budget-change').textContent.includes('against before')")
+    rise = page.evaluate("lab.state.bound.bound / lab.state.before.bound.bound")
+    words = page.inner_text("#budget-change")
+    assert words[0] == ("+" if rise > 1 else "\u2212") and "mostly by" in words
+    change = page.locator("#measures tbody tr").first.locator("td").last.inner_text()
+    assert words.startswith(f"{change} against before") and change.endswith("%")
+    page.keyboard.press("p")
+    page.keyboard.press("PageUp")
+    page.keyboard.press("c")
+    cells = page.locator(".result.pins tbody tr", has_text="certified bound").locator("td")
+    wait(page, "lab.state.bound.exact && lab.state.bound.design === lab.state.design")
+    wait(page, "!document.querySelector('.result.pins').textContent.includes('fast proof')")
+    wait(page, "lab.state.bound.effort === 'default'")
+    assert cells.all_inner_texts() == [
+        page.evaluate("lab.state.pins[0].before.bound.text"),
+        page.inner_text("#bound .num"),
+    ]
+    page.locator("body").press("Control+z")
+    at_rest(page)
+    system = with_gains(certrack.load("example1"), page.evaluate("lab.gains.all()"))
+    now = certrack.design(system).formulas[1]
+    assert now.startswith("lambda_1") and now != texts[3]
+    wait(page, f"document.querySelectorAll('#law [role=math]')[3].ariaLabel === {now!r}")
 
 
 def test_falsify_ensemble_cancel_and_export(shown, tmp_path):

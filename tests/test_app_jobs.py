@@ -23,6 +23,38 @@ from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS, table
 from certrack.simulation.metrics import METRIC_LABELS
 
+# plant and law as formulas
+
+
+def law_of(name, gains=None):
+    job = {"text": certrack.starter(name), "name": name, "gains": gains or {}, "design": 7}
+    frame = JOBS["law"](JobContext(), job, 0.0, None, None)
+    assert (frame_prefix(frame).kind.name, frame_prefix(frame).design) == ("LAW", 7)
+    return frame_header(frame)
+
+
+def test_the_law_is_that_of_the_command_line_with_the_numbers_of_the_paper():
+    shown, system = law_of("example1"), certrack.load("example1")
+    texts, numbers = zip(*shown["law"], strict=True)
+    assert texts == certrack.design(system).formulas
+    assert numbers == ("(6)", "(9)", "(6)", "(25)", "(25)", "(26)", "(26)")
+    assert [number for _, number in shown["plant"]] == ["(5)", "(5)"]
+    assert shown["notes"] == [str(certrack.design(system)).splitlines()[len(texts) + 1]]
+    moved = dict(law_of("example1", {"law.c[0]": 2.0})["law"])
+    assert "lambda_1 = -2.25*x1 + 3.75*y_d" in moved and "lambda_1 = -1.75*x1 + 3.25*y_d" in texts
+
+
+def test_virtual_controls_have_the_number_of_their_step_and_other_laws_none():
+    robust = dict(law_of("dual-motor")["law"])
+    steps = [number for text, number in robust.items() if text.startswith("lambda")]
+    assert steps == ["(9)", "(13)", "(18)"]
+    assert [n for text, n in robust.items() if text.startswith("u")] == ["Corollary 1"]
+    lean = law_of("dual-motor-lean")
+    assert any("q = 0" in note for note in lean["notes"])
+    assert not any("q = 0" in note for note in law_of("dual-motor")["notes"])
+    assert not any(number for _, number in law_of("example1-classic")["law"])
+
+
 # gains and form
 
 

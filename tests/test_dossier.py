@@ -23,6 +23,7 @@ from certrack.reports.evidence import OPTIONAL, evidence_of
 from certrack.reports.formula_pictures import broken, formula_svgs
 from certrack.reports.guarantee import guarantee_section
 from certrack.reports.pages import to_html, to_latex, to_markdown
+from certrack.reports.system_sections import plant_section
 from certrack.studies.falsifier.falsify import Falsification
 
 CASES = Path(__file__).parent / "data" / "cases"
@@ -289,3 +290,28 @@ def test_every_shipped_system_has_one(name):
     made = certrack.dossier(certrack.load(name), name, effort="fast", members=50, budget=200)
     assert len(to_html(made)) < 3e6
     assert Page(to_html(made)).tags.count("section") == len(made.sections)
+
+
+def test_names_of_several_letters_stay_apart_and_zero_terms_are_left_out(found):
+    section = plant_section(replace(found, system=certrack.load("motor-shaft-load")))
+    formula = section.formulas[-1].latex
+    assert formula.startswith(r"\dot{\mathrm{rate}} = 1250 \, u")
+    assert r"K \, \mathrm{twist}" in formula and formula_svgs(formula)
+    terms = next(entry for entry in section.tables if entry.title.startswith("uncertain"))
+    assert [row[2] for row in terms.rows] == ["Delta |x|", "12.5"]
+    section = plant_section(replace(found, system=certrack.load("example1")))
+    terms = next(entry for entry in section.tables if entry.title.startswith("uncertain"))
+    assert [row[2] for row in terms.rows] == ["0.5 ||x||", "0.2 ||x|| + 0.1"]
+
+
+def test_starts_that_one_state_varies_are_not_drawn(found):
+    results = found.certificates
+    polytope = results.implemented.polytope
+    keys = [picture.name for picture in guarantee_section(found).pictures]
+    assert "starts" in keys
+    flat = replace(
+        polytope, region=(polytope.region[0], *[(0.0, 0.0)] * (len(polytope.region) - 1))
+    )
+    narrow = replace(results, implemented=replace(results.implemented, polytope=flat))
+    pictures = guarantee_section(replace(found, certificates=narrow)).pictures
+    assert [picture.name for picture in pictures] == [key for key in keys if key != "starts"]

@@ -10,8 +10,8 @@ Worker
     `worker` (one process), `open_design` (a text, loaded and compiled), `responses` (a run as
     curves), `decimation`, `guarantee` (bounds with their words), `gains` (what a slider moves),
     `form` (every key as a field), `profiles` (the reference drawn, and first ones of other kinds),
-    `description` (what the page knows of a system), `long_tasks` (searches that report progress),
-    `exports`.
+    `description` (what the page knows of a system), `written_law` (plant and law as formulas),
+    `long_tasks` (searches that report progress), `exports`.
 Both
     `messages` (what a page may ask), `frames` (what it gets).
 

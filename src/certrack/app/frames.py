@@ -47,6 +47,7 @@ class FrameKind(IntEnum):
     TEXT = 7
     FILE = 8
     NOTE = 9
+    LAW = 10
 
 
 class FramePrefix(NamedTuple):

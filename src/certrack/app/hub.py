@@ -20,6 +20,7 @@ TIME_LIMITS = {
     "run": 20,
     "bound": 30,
     "text": 20,
+    "law": 30,
     "exact": 900,
     "export": 900,
     "task": 4 * 3600,

@@ -15,6 +15,7 @@ from certrack.app.messages import require_text_size
 from certrack.app.open_design import Designs, OpenDesign, continuous_law
 from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
+from certrack.app.written_law import law_frame
 from certrack.certificates.certify import certify
 from certrack.certificates.estimates.estimate import estimate
 from certrack.core import checks
@@ -126,6 +127,11 @@ def _text(context: JobContext, job: Job, began: float, send: Sender, progress: A
     return pack_frame(FrameKind.TEXT, {"text": text}, design=job["design"])
 
 
+def _law(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """Plant and law as formulas."""
+    return law_frame(context.system(job), job["design"])
+
+
 def _task(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
     """A long computation; its own last frame is the answer."""
     from certrack.app.long_tasks import run_task
@@ -156,6 +162,7 @@ JOBS: Mapping[str, Callable[..., bytes]] = {
     "describe": _describe,
     "source": _source,
     "text": _text,
+    "law": _law,
     "task": _task,
     "export": _export,
 }

@@ -34,7 +34,7 @@ MAX_CRASHES = 2
 #: Kinds of jobs in the mailbox, and the role of the worker that does them, the first one first.
 ROLES = {
     "run": ("describe", "run"),
-    "bound": ("text", "bound", "sampled"),
+    "bound": ("text", "bound", "sampled", "law"),
     "exact": ("exact",),
 }
 
@@ -106,6 +106,7 @@ class Session:
             self._post("sampled", do="run", sampled=True, after=PAUSE)
         if move.resting:
             self._post("text")
+            self._post("law")
             self._end_pause()
 
     def _end_pause(self) -> None:
@@ -257,7 +258,7 @@ class Session:
         """Submit what a lost worker has not answered; only the newest of it."""
         if job["do"] in READING:
             self._waiting = job
-        elif job["do"] in ("run", "bound", "exact", "text"):
+        elif job["do"] in ("run", "bound", "exact", "text", "law"):
             kind = "sampled" if job.get("sampled") and job["do"] == "run" else job["do"]
             self._mail.setdefault(kind, job)
             self._due[kind] = 0.0

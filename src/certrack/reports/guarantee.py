@@ -143,8 +143,12 @@ def _pictures(evidence: DesignEvidence) -> list[Picture]:
     if results.tube is not None:
         drawing = tube_figure(evidence.run, results.tube, "", results.best)
         pictures.append(Picture("tube", "Tracking error in the certified tube", as_svg(drawing)))
-    if results.implemented.polytope is not None and system.plant.n > 1:
-        drawing = starts_figure(results.implemented, None, "", system.plant.units)
+    polytope = results.implemented.polytope
+    regions = () if polytope is None else zip(polytope.states, polytope.region, strict=True)
+    wide = [state for state, (low, high) in regions if high > low]
+    if len(wide) > 1:  # a start that only one state varies is no area
+        axes = wide[0], wide[1]
+        drawing = starts_figure(results.implemented, axes, "", system.plant.units)
         caption = "Starts from which the input is proven to stay within its limits"
         pictures.append(Picture("starts", caption, as_svg(drawing)))
     return pictures

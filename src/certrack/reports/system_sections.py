@@ -42,9 +42,21 @@ def _uncertain_terms(system: System) -> Table:
     for k, tau in enumerate(u.tau):
         if tau:
             text = str(u.bound[k]) if u.bound else ""
-            text = text or f"{short_number(u.gamma[k])} ||x|| + {short_number(u.beta[k])}"
-            rows.append([f"w_{k + 1}", tau, text + (" + Delta |x|" if u.Delta is not None else "")])
+            parts = (
+                [text]
+                if text
+                else _parts_of_bound(u.gamma[k], u.beta[k], f"S_{k + 1} x" if u.S else "x")
+            )
+            if u.Delta is not None and any(u.Delta[k]):
+                parts.append("Delta |x|")
+            rows.append([f"w_{k + 1}", tau, " + ".join(parts) or "0"])
     return table("uncertain terms, of which only bounds are known", ["term", "tau", "|w| <="], rows)
+
+
+def _parts_of_bound(gamma: float, beta: float, size: str) -> list[str]:
+    """What of gamma ||x|| + beta is not zero."""
+    growing = [f"{short_number(gamma)} ||{size}||"] if gamma else []
+    return growing + ([short_number(beta)] if beta else [])
 
 
 def _constants(system: System) -> Table:

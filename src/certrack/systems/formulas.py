@@ -146,8 +146,10 @@ class _Latex(LatexPrinter):
             return r"\hat\delta"
         if name.startswith("theta_hat_"):
             return rf"\hat\theta_{{{name[10:]}}}"
-        return str(super()._print_Symbol(expr))
+        letters = str(super()._print_Symbol(expr))
+        return rf"\mathrm{{{letters}}}" if letters.isalpha() and len(letters) > 1 else letters
 
 
 def _as_latex_text(expr: sympy.Expr) -> str:
-    return str(_Latex({"full_prec": False}).doprint(_rounded(expr)))
+    settings = {"full_prec": False, "mul_symbol": r" \, "}  # factors of several letters stay apart
+    return str(_Latex(settings).doprint(_rounded(expr)))

@@ -1,9 +1,10 @@
 // The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
 import { byId, element, style, write } from "./dom.js";
-import { change } from "./numbers.js";
+import { change, format } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
 const STATUSES = ["contradicted", "assumed", "checked", "proven"];
+const LEAST_CHANGE = 0.005;
 const LESS_IS_BETTER = new Set(["settling_time", "tail_error", "rms_error", "integral_abs_error", "peak_input", "input_energy", "input_variation"]);
 
 export class Guarantee {
@@ -69,7 +70,9 @@ export class Guarantee {
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
     if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
     if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
-    return "largest |e₁| once settled, for everything the premises admit";
+    const all = "largest |e₁| once settled, for everything the premises admit";
+    if (!bound.exact) return `${all}: estimated, which proves nothing; the proof follows`;
+    return bound.refining ? `${all}, by the fast proof; a finer one, which may be smaller, is on its way` : all;
   }
 
   /** An admissible case beyond the bound, or a remedy of a contradicted premise. */
@@ -121,7 +124,8 @@ export class Guarantee {
       write(cells[3], shift);
       style(cells[3], better && shift[0] === "−" ? "down" : better && shift[0] === "+" ? "up" : "");
     };
-    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, bound?.exact ? bound.bound : null, true);
+    const alike = bound?.exact && !(bound.refining && before?.bound?.effort === "default"); // a fast proof may be worse than the finer one
+    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, alike ? bound.bound : null, true);
     const same = before?.run?.header.sampled === header.sampled;
     names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
   }
@@ -157,6 +161,19 @@ export class Guarantee {
     if (broken) byId("premises-card").open = true;
   }
 
+  /** Why the bound is another one than before: the parts that have changed most, where both are of one method. */
+  since(bound) {
+    const { before, system } = this.state, was = bound?.effort === "default" ? before?.bound : before?.fast;
+    const alike = was?.bound && bound?.bound && was.method === bound.method && was.shares_of === bound.shares_of && (bound.effort !== "default" || was.effort === "default");
+    if (!alike || Math.abs(bound.bound / was.bound - 1) < LEAST_CHANGE) return "";
+    const parts = new Map(bound.shares.map(([name, share]) => [name, share * bound.bound]));
+    for (const [name, share] of was.shares) parts.set(name, (parts.get(name) ?? 0) - share * was.bound);
+    const rose = bound.bound > was.bound, most = [...parts].filter(([, by]) => by > 0 === rose).sort(([, a], [, b]) => Math.abs(b) - Math.abs(a)).slice(0, 2);
+    const own = bound.shares_of === bound.method; // of another method the order holds, not the size
+    const words = most.map(([name, by]) => (own ? `${cause(name)} (${rose ? "+" : "−"}${format(Math.abs(by), 2)} ${system.units[0]}`.trim().concat(")") : cause(name)));
+    return `${change(was.bound, bound.bound)} against before, mostly by ${words.join(" and ")}.`;
+  }
+
   /** Shares of the bound, always in the same order. */
   budget(bound) {
     const box = byId("budget"), rows = [...(bound?.shares ?? [])].sort(([a], [b]) => (a < b ? -1 : 1));
@@ -172,6 +189,7 @@ export class Guarantee {
       box.children[k].querySelector("i").style.transform = `scaleX(${Math.min(1, Math.max(0, share))})`;
     });
     write(byId("budget-of"), bound?.shares_of && bound.shares_of !== bound.method ? `in the ${bound.shares_of}` : "");
+    write(byId("budget-change"), this.since(bound));
     const most = rows.reduce((best, row) => (best && best[1] >= row[1] ? best : row), null);
     write(byId("budget-hint"), most ? `A tenth less of the largest part (${cause(most[0])}) lowers the bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
   }
@@ -197,7 +215,7 @@ export function cause(name) {
   const state = /^w_(\d+) \(state\)/.exec(name), disturbance = /^w_(\d+)/.exec(name), order = /^y_d\^\((\d+)\)/.exec(name);
   if (state) return `disturbance w${state[1]}, its growth with the state`;
   if (disturbance) return `disturbance w${disturbance[1]}`;
-  if (order) return order[1] === "0" ? "reference" : `reference, derivative ${order[1]}`;
+  if (order) return order[1] === "0" ? "reference" : `derivative ${order[1]} of the reference`;
   return name === "estimates" ? "unknown parameters" : name;
 }
 

@@ -1,6 +1,6 @@
 // The connection: frames in, messages out; it comes back by itself.
 
-export const KIND = { RUN: 1, BOUND: 2, EXACT: 3, TASK: 4, PROBLEM: 5, SYSTEM: 6, TEXT: 7, FILE: 8, NOTE: 9 };
+export const KIND = { RUN: 1, BOUND: 2, EXACT: 3, TASK: 4, PROBLEM: 5, SYSTEM: 6, TEXT: 7, FILE: 8, NOTE: 9, LAW: 10 };
 const MAGIC = 0x31525443, PROTOCOL = 2, PREFIX = 20, FIRST_WAIT = 250, LONGEST_WAIT = 4000;
 
 /** The key of this session: from the address, which then hides it, or from before; a link opened in another tab finds it. */

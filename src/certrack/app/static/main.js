@@ -8,6 +8,7 @@ import { Gains } from "./gains.js";
 import { Guarantee } from "./guarantee.js";
 import { History } from "./history.js";
 import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
+import { showLaw } from "./law.js";
 import { KIND, Link, sessionKey } from "./link.js";
 import { askConflict, closeMenu, exportMenu, fileMenu, firstVisit, helpMenu } from "./menus.js";
 import { note, status } from "./notes.js";
@@ -99,6 +100,7 @@ function received(message) {
   else if (kind === KIND.BOUND) estimate(header, design);
   else if (kind === KIND.EXACT) exact(header, design);
   else if (kind === KIND.TEXT) designs.text(header.text, design);
+  else if (kind === KIND.LAW && design === state.design) showLaw(header);
 }
 
 function noted(header) {
@@ -186,7 +188,8 @@ function exact(header, design) {
   state.exactTime = header.ms;
   state.exactDelay = performance.now() - (state.lastMove ?? 0);
   guarantee.proven(header, state.system);
-  if (state.before?.design === design) state.before.bound = state.bound;
+  if (header.effort === "fast") state.fast = state.bound;
+  if (state.before?.design === design) Object.assign(state.before, { bound: state.bound, fast: fastOf(design) });
   write(byId("announce"), header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
   if (state.run) responses.describe(state.system, state.run, state.bound);
   frame();
@@ -266,10 +269,13 @@ function applyGains(values) {
   history.commit();
 }
 
+/** What the fast proof had of a design, by the same method as an estimate. */
+const fastOf = (design) => (state.fast?.design === design ? state.fast : null);
+
 function pinned(byUser) {
   const { run: now, bound, system } = state, n = system.states.length;
   if (!now) return;
-  state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null, byUser };
+  state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null, fast: fastOf(now.design), byUser };
   if (!byUser) {
     history.settle();
     return;

@@ -53,6 +53,7 @@ const GREEK = { alpha: "α", beta: "β", gamma: "γ", delta: "δ", epsilon: "ε"
 
 /** A name such as theta_hat_1, omega_m or x1 as a letter, its mark, and an index below it. */
 export function nameParts(name) {
+  if (GREEK[name]) return [GREEK[name], ""]; // nu is no n with an index u
   const match = /^([A-Za-zΓδθρ]+?)(?:_?(hat|dot|ddot))?_?(\d+|[A-Za-z]?)?$/.exec(name);
   if (!match) return [name, ""];
   const [, word, mark, index] = match;

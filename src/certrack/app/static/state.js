@@ -2,7 +2,7 @@
 
 export const state = {
   system: null, base: "", text: "", name: "", saved: "", file: null, textOf: 0, asked: 0, revision: 0, design: 0, view: 0, window: null,
-  run: null, bound: null, worst: null, before: null, pins: [], connected: false, textProblem: null,
+  run: null, bound: null, fast: null, worst: null, before: null, pins: [], connected: false, textProblem: null,
   greeting: null, restoring: null, optima: null, tuneLimits: null,
 };
 

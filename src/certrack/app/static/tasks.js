@@ -5,6 +5,7 @@ import { Fan } from "./fan.js";
 import { format, typed } from "./numbers.js";
 import { Tuning } from "./tuning.js";
 
+const PINNED = "Pinned designs";
 const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", optimum: "Optimum", compare: "Compare", export: "Export" };
 
 export class Tasks {
@@ -95,6 +96,7 @@ export class Tasks {
   /** Say beside a result that the design has changed since, as soon as it has. */
   freshen() {
     const { made } = this.drawer;
+    if (this.drawer.title === PINNED) this.compareAgain();
     if (!made) return;
     const { base, values } = this.on.snapshot();
     this.drawer.outdated(base !== made.base || JSON.stringify(values) !== JSON.stringify(made.values));
@@ -181,17 +183,34 @@ export class Tasks {
   }
 
   compare() {
-    const { pins, system, run, bound } = this.state;
+    const { pins, system } = this.state;
     if (!pins.length) {
       this.drawer.open("Compare", [sentence("Pin a design (P) to compare it with others; every pin stays in this list.")]);
       return;
     }
-    const now = { name: "now", run, before: { bound: bound?.exact ? bound : null } };
-    const designs = [...pins, now], names = Object.keys(system.metrics);
-    const rows = [["certified bound", ...designs.map((d) => d.before.bound?.text ?? "—")], ...names.map((name) => [system.metrics[name], ...designs.map((d) => d.run.header.texts[name] ?? "—")])];
+    const columns = this.columns();
+    const rows = ["certified bound", ...Object.values(system.metrics)].map((name, k) => [name, ...columns.map((column) => column[k])]);
     const button = (text, work) => pins.map((pin) => element("button", { onclick: () => work(pin) }, text));
     const behind = ["behind the curves", ...button("show", (pin) => this.on.behind(pin)), ""];
     const restore = ["gains and file", ...button("go back", (pin) => this.on.restore(pin)), ""];
-    this.drawer.open("Pinned designs", [table(["", ...designs.map((d) => d.name)], [behind, restore, ...rows], "pins")]);
+    this.drawer.open(PINNED, [table(["", ...pins.map((pin) => pin.name), "now"], [behind, restore, ...rows], "pins")]);
+  }
+
+  columns() {
+    const { pins, run, bound } = this.state;
+    return [...pins.map((pin) => this.column(pin.run, pin.before.bound)), this.column(run, bound)];
+  }
+
+  /** What is compared of a design; a bound of the fast proof says so, because the finer one of another may be smaller. */
+  column(run, bound) {
+    const proven = bound?.exact && bound.bound ? `${bound.text}${bound.refining ? " (fast proof)" : ""}` : "—";
+    return [proven, ...Object.keys(this.state.system.metrics).map((name) => run.header.texts[name] ?? "—")];
+  }
+
+  /** The present design in the list of pins follows its moves, and so do the bounds of pins that are being refined. */
+  compareAgain() {
+    const columns = this.columns(), rows = [...this.drawer.body.querySelectorAll("tbody tr")].slice(2);
+    if (rows[0].cells.length !== columns.length + 1) this.compare();
+    else rows.forEach((row, k) => columns.forEach((column, j) => write(row.cells[j + 1], column[k])));
   }
 }
