@@ -43,8 +43,8 @@ def paper_numbers(system: System) -> Any:
     law = system.law
     differs = (
         law.kind not in CONTROL_NUMBERS
-        or getattr(law, "coupling", 0)
-        or getattr(law, "integral", 0)
+        or getattr(law, "coupling", False)
+        or getattr(law, "integral", False)
     )
     n = system.plant.n
 
