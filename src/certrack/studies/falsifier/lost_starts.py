@@ -248,7 +248,9 @@ class _StartSearch:
     def result(self) -> LostStarts:
         """The nearest lost start, run as a system of its own."""
         gone = [
-            (_part(place), name, place) for score, name, place in self.seen if score == SCORE_OF_LOST
+            (_part(place), name, place)
+            for score, name, place in self.seen
+            if score == SCORE_OF_LOST
         ]
         gone.sort(key=lambda entry: entry[0])
         nearer = [self._nearer(name, place) for _, name, place in gone[:MAX_SEGMENTS]]

@@ -129,8 +129,8 @@ def attack_as_implemented(
     for case in cases.values():
         search.replay(case.replace(implementation=errors) for errors in sensors)
         if not search.turns_as_proven(case):
-            own = case.replace(reference=system.reference)
-            search.replay(own.replace(implementation=errors) for errors in sensors)
+            replaced = case.replace(reference=system.reference)
+            search.replay(replaced.replace(implementation=errors) for errors in sensors)
     if seeded is not None:
         search.spend(*seeded, sensors, budget // RUNS_PER_SAMPLED_RUN, np.random.default_rng(seed))
     if search.best is None:
@@ -175,8 +175,8 @@ class _SampledSearch:
             return True
         order = case.controller.coordinates.q + 1
         known = lipschitz_bound(self._system.reference, order)
-        found = lipschitz_bound(case.reference, order)
-        return known is not None and found is not None and found <= known
+        steepest = lipschitz_bound(case.reference, order)
+        return known is not None and steepest is not None and steepest <= known
 
     def replay(self, cases: Iterable[System]) -> None:
         """Run cases, each by a loop of its own."""

@@ -14,16 +14,14 @@ from certrack.systems.system import System
 
 #: A start is lost for good if its run passes so many times simulation.max_state: a bound in the
 #: long run forbids no excursion, which a narrow max_state calls an escape.
-FARTHER = 1e3
+ESCAPE_FACTOR = 1e3
 
 
-def start_alarm(
-    system: System, searched: LostStarts, progress: Progress = silent
-) -> Alarm | None:
+def start_alarm(system: System, searched: LostStarts, progress: Progress = silent) -> Alarm | None:
     """The alarm that lost starts raise, or None.
 
     Of the lost starts that the best verified certificate claims its bound from, the first that is
-    lost beyond :data:`FARTHER` times ``simulation.max_state``, too.
+    lost beyond :data:`ESCAPE_FACTOR` times ``simulation.max_state``, too.
 
     Parameters
     ----------
@@ -43,7 +41,7 @@ def start_alarm(
         case = patterns[pattern].with_settings(x0=x0)
         if not _claimed(system, results, case):
             continue
-        run = simulate(case.with_settings(max_state=FARTHER * case.settings.max_state))
+        run = simulate(case.with_settings(max_state=ESCAPE_FACTOR * case.settings.max_state))
         if is_lost(run):
             at = ", ".join(f"{value:.10g}" for value in x0)
             broken = broken_on_the_way(case, run)
