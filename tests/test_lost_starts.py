@@ -1,6 +1,7 @@
 """Lost starts: what is found is lost when it is replayed, and where the edge is known it is met."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import pytest
 import certrack
 from certrack.cli import main
 from certrack.integrators.base import Outcome
-from certrack.studies.falsifier.lost_starts import lost_starts
+from certrack.reports.falsification import lost_starts_lines, lost_starts_summary
+from certrack.studies.falsifier.lost_starts import LostStarts, lost_starts
+from certrack.studies.falsifier.start_alarm import start_alarm
 
 #: x' = x^3 + u with |u| <= 2, sampled: nothing that begins beyond the root of x^3 = 2 comes back.
 CUBIC = """
@@ -125,3 +128,32 @@ def test_the_command_writes_what_it_found(capfd, tmp_path):
     )
     code, text = said(capfd, "falsify", str(file), "--box=-1:1")
     assert (code, "Add --starts" in text) == (2, True)
+
+
+def test_a_lost_start_that_is_claimed_is_an_alarm(monkeypatch):
+    """Nothing that is claimed is lost; with a claim that is too wide there is an alarm."""
+    system = certrack.load("dual-motor-drag")
+    searched = lost_starts(system, [(-12, 12)] * 4, budget=30)
+    assert searched.nearest is not None and searched.gone
+    assert start_alarm(system, searched) is None
+    results = certrack.certify(system)
+    everywhere = replace(results.implemented, starts="any", polytope=None)
+    wrong = replace(results, implemented=everywhere)
+    monkeypatch.setattr("certrack.studies.falsifier.start_alarm.certify", lambda *_, **__: wrong)
+    assert start_alarm(system, searched).kind == "defect"
+
+
+def test_an_excursion_beyond_a_narrow_limit_is_no_alarm():
+    """The law brings the state back; what is called an escape is max_state."""
+    text = CUBIC.format(tau=0).replace("x**3", "0").replace("saturation = [-2, 2]", "")
+    text = text.replace("= 8", "= 8\nmax_state = 1")
+    system = certrack.loads(text.replace("[-2, 2]", "[-9, 9]"))
+    searched = LostStarts(((-1.0, 1.0),), 1, 1, None, 0.0, (("own", (1.0,)),))
+    assert start_alarm(system, searched) is None
+    lines = lost_starts_lines(lost_starts_summary(searched), ["x"])
+    assert lines == ["1 of 1 runs were lost, none of them when it was run again: x in [-1, 1]"]
+
+
+def test_a_box_beyond_what_a_state_may_reach():
+    with pytest.raises(certrack.InputError, match="of x must be within simulation.max_state"):
+        lost_starts(cubic(), [(-1e10, 1)])

@@ -417,3 +417,8 @@ def test_a_file_can_state_an_effort():
 def test_an_effort_that_does_not_fit_is_refused(wanted, said):
     with pytest.raises(InputError, match=said):
         polynomial((0, 1), degree=5, **wanted)
+
+
+def test_positions_without_a_move_are_named_beside_an_effort():
+    with pytest.raises(InputError, match=r"reference\.positions"):
+        polynomial((0,), degree=3, duration=1.0, effort=(0.0, 1.0))

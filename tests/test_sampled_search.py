@@ -10,9 +10,15 @@ import pytest
 
 import certrack
 from certrack.certificates.bootstrap.tape import Tape
+from certrack.certificates.sampled_adaptive.certify import certify_sampled_adaptive
 from certrack.core.kinks import derivative
 from certrack.studies.falsifier.falsify import falsify
-from certrack.studies.falsifier.sampled_search import _worst_sensor_errors
+from certrack.studies.falsifier.sampled_search import (
+    SampledGuarantee,
+    _SampledSearch,
+    _worst_sensor_errors,
+    attack_as_implemented,
+)
 
 EASY = """
 [plant]
@@ -143,11 +149,35 @@ def test_a_period_that_is_too_long_escapes():
 
 @pytest.mark.slow
 def test_example1_at_one_millisecond():
-    """As far as the continuous law: a proof could gain a third at most."""
+    """With the file's own reference: that of the continuous worst case, 0.0447, turns too fast."""
     system = certrack.load("example1").replace(
         implementation=certrack.Implementation(period=0.001, delay=0.5)
     )
     drive = falsify(system, budget=1500).drive
     assert drive.certificate.verified
-    assert 0.0445 < drive.worst_error < drive.certificate.bound
+    assert 0.038 < drive.worst_error < drive.certificate.bound
     assert not drive.limited
+
+
+def test_a_reference_that_turns_faster_is_not_covered():
+    """The proof has the slope of y_d', which bounds of y_d and y_d' leave open."""
+    system = certrack.loads(EASY)
+    certificate, proof = certify_sampled_adaptive(system)
+    search = _SampledSearch(system, proof, lambda worst: None)
+    assert certificate.verified and search.covered(search._placed(system))
+    for text, covered in (("0.19*sin(t)", True), ("0.01*sin(20*t)", False)):
+        case = search._placed(system.replace(reference=certrack.SymbolicReference(text)))
+        assert max(case.reference.bounds(1).values) <= 0.2 * (1 + 1e-9)
+        assert search.covered(case) is covered
+    steep = system.replace(reference=certrack.SymbolicReference("0.01*sin(20*t)"))
+    drive = attack_as_implemented(
+        system,
+        SampledGuarantee(certificate, proof),
+        {"steep": steep},
+        None,
+        100,
+        0,
+        lambda *_: None,
+    )
+    assert not drive.limited
+    assert drive.system.reference == system.reference

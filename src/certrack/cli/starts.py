@@ -19,6 +19,7 @@ def search_starts(
     from certrack.cli import console
     from certrack.reports import falsification as falsified
     from certrack.studies.falsifier.lost_starts import lost_starts
+    from certrack.studies.falsifier.start_alarm import start_alarm
     from certrack.systems.reader import load
     from certrack.systems.writer import save
 
@@ -33,6 +34,7 @@ def search_starts(
             seed=seed,
             progress=bars.phase("Searching, starts", "largest state"),
         )
+        alarm = start_alarm(system, searched, bars.phase("Certifying, steps", "bound"))
     nearest = searched.nearest
     written = out if nearest is not None else None
     if nearest is not None and out is not None:
@@ -40,10 +42,19 @@ def search_starts(
     values = falsified.lost_starts_summary(searched) | {
         "seed": seed,
         "file": None if written is None else str(written),
+        "alarm": None if alarm is None else alarm.kind,
+        "alarm_reason": None if alarm is None else alarm.reason,
     }
     if as_json:
         click.echo(console.to_json(values))
-        return
-    console.print_lines(falsified.lost_starts_lines(values, system.simulated_states))
-    if written is not None:
-        click.echo(f"{written} replays it: certrack simulate {written}")
+    else:
+        console.print_lines(falsified.lost_starts_lines(values, system.simulated_states))
+        if written is not None:
+            click.echo(f"{written} replays it: certrack simulate {written}")
+    if alarm is not None:
+        click.echo(
+            "certrack: ALARM: a lost start is one that the certificate claims "
+            f"({alarm.kind}): {alarm.reason}",
+            err=True,
+        )
+        raise click.exceptions.Exit(1)

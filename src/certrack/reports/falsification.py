@@ -155,6 +155,10 @@ def lost_starts_lines(values: Mapping[str, Any], states: Sequence[str]) -> list[
         for name, (low, high) in zip(states, values["box"], strict=True)
     )
     nearest, runs = values["nearest"], values["runs"]
+    if nearest is None and values["lost"]:
+        return [
+            f"{values['lost']} of {runs} runs were lost, none of them when it was run again: {ends}"
+        ]
     if nearest is None:
         return [
             f"no start of the box is lost in {runs} runs: {ends}",

@@ -80,10 +80,11 @@ def _remarks(result: Optima, optimum: Optimum) -> Iterator[str]:
     if optimum.smoothing:
         yield (
             f"{goal}: kinks are rounded over {100 * optimum.smoothing:g} % of the largest size of "
-            "what they are taken of"
+            "what they are taken of; jumps (dry friction) stay so in its cost, not in the law's"
         )
     if excess is not None and excess < 1.0:
-        yield f"{goal}: the law needs less: on such a mesh no better input was found"
+        on = "such a mesh" + (" with kinks so rounded" if optimum.smoothing else "")
+        yield f"{goal}: the law needs less: on {on} no better input was found"
     if optimum.mesh_error is not None and optimum.mesh_error > MINIMUM_CHANGE:
         yield (
             f"{goal}: still changed by {100 * optimum.mesh_error:.2g} % from mesh to mesh: more "

@@ -90,7 +90,7 @@ def polynomial(
         raise InputError("reference", message, remedy="State speed, acceleration or jerk")
 
     if effort is not None:
-        if not stated:
+        if duration is None:
             raise InputError("reference.effort", "needs a duration", remedy="State one, s")
         effort = _effort(effort, degree)
         more["effort"] = effort

@@ -81,7 +81,7 @@ def alarm(
     for premise in contradicted(premises(system)):
         if file_omega or not premise.name.startswith("w_"):
             return Alarm(PREMISE, f"{premise.name}: {premise.detail}; {premise.remedy}")
-    broken = _broken_on_the_way(case, run)
+    broken = broken_on_the_way(case, run)
     if broken:
         return Alarm(PREMISE, broken)
     return Alarm(
@@ -144,7 +144,7 @@ def _within_bounds(system: System, case: System) -> System:
     return case.replace(reference=replace(reference, declared=bounds))
 
 
-def _broken_on_the_way(case: System, run: Run) -> str:
+def broken_on_the_way(case: System, run: Run) -> str:
     """Where the run's own omega leaves Assumption 1, in words; empty if nowhere."""
     for term in uncertain_terms(case):
         points = Points(run.t, run.x)

@@ -100,6 +100,8 @@ class LostStarts:
         nothing.
     largest : float
         The largest state that a run had that was not lost.
+    gone : tuple of pairs
+        Pattern and states at the start of every run that was lost.
     """
 
     box: tuple[tuple[float, float], ...]
@@ -107,6 +109,7 @@ class LostStarts:
     lost: int
     nearest: LostStart | None
     largest: float
+    gone: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
 def lost_starts(
@@ -178,6 +181,8 @@ def _checked_box(
     for name, (low, high) in zip(names, ends, strict=True):
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise InputError("box", f"of {name} needs finite ends, the low one first", [low, high])
+        if max(-low, high) > system.settings.max_state:
+            raise InputError("box", f"of {name} must be within simulation.max_state", [low, high])
     return ends
 
 
@@ -194,7 +199,7 @@ class _StartSearch:
         self.box, self.budget, self.progress = box, budget, progress
         low, high = np.array(box).T
         self.middle, self.half = (low + high) / 2, (high - low) / 2
-        self.templates = _templates(system, self.half)
+        self.templates = start_patterns(system, self.half)
         self.simulators = {name: Simulator(v) for name, v in self.templates.items()}
         self.runs, self.lost, self.largest = 0, 0, 0.0
         self.seen: list[tuple[float, str, np.ndarray]] = []  # score, pattern, place in the box
@@ -228,7 +233,7 @@ class _StartSearch:
         case, simulator = self._case(name, place), self.simulators[name]
         run = simulator.run(case) if simulator.serves(case) else simulate(case)
         self.runs += 1
-        gone = _is_lost(run)
+        gone = is_lost(run)
         if gone:
             self.lost += 1
             score = SCORE_OF_LOST
@@ -243,14 +248,21 @@ class _StartSearch:
     def result(self) -> LostStarts:
         """The nearest lost start, run as a system of its own."""
         gone = [
-            (_part(place), name, place) for score, name, place in self.seen if score == math.inf
+            (_part(place), name, place)
+            for score, name, place in self.seen
+            if score == SCORE_OF_LOST
         ]
         gone.sort(key=lambda entry: entry[0])
         nearer = [self._nearer(name, place) for _, name, place in gone[:MAX_SEGMENTS]]
         nearer.sort(key=lambda entry: _part(entry[1]))
         replays = (self._replayed(name, place) for name, place in nearer)
         nearest = next((start for start in replays if start is not None), None)
-        return LostStarts(self.box, self.runs, self.lost, nearest, self.largest)
+        lost = tuple(
+            (name, self._case(name, place).settings.x0)
+            for score, name, place in self.seen
+            if score == SCORE_OF_LOST
+        )
+        return LostStarts(self.box, self.runs, self.lost, nearest, self.largest, lost)
 
     def _nearer(self, name: str, place: np.ndarray) -> tuple[str, np.ndarray]:
         """The nearest lost start that bisection finds between the middle and a lost one."""
@@ -264,7 +276,7 @@ class _StartSearch:
         case = self._case(name, place)
         case = case.replace(title=f"Lost start found for: {case.title}")
         run = simulate(case)
-        if not _is_lost(run):
+        if not is_lost(run):
             return None
         outcome, end = run.outcome.name, float(run.trajectory.times[-1])
         return LostStart(case.settings.x0, _part(place), name, outcome, end, case)
@@ -275,12 +287,12 @@ def _part(place: np.ndarray) -> float:
     return float(np.abs(place).max(initial=0.0))
 
 
-def _is_lost(run: Run) -> bool:
+def is_lost(run: Run) -> bool:
     """Whether a run leaves what its states may reach, or what its formulas are defined for."""
     return run.outcome in (Outcome.escaped, Outcome.undefined)
 
 
-def _templates(system: System, half: np.ndarray) -> dict[str, System]:
+def start_patterns(system: System, half: np.ndarray) -> dict[str, System]:
     """The system under its own disturbances, and under uncertain terms at their bounds."""
     templates, plant = {OWN_PATTERN: system}, system.plant
     u, names = plant.uncertainty, plant.states

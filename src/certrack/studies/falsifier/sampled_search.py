@@ -5,7 +5,8 @@ as implemented, under the file's own sensor errors and under ones that stay at t
 worst is a candidate, and so is what a random search of the adversary's numbers finds from the best
 point of the continuous search on, each run sampled, delayed, quantised and limited as the drive
 does it. Every case begins where the errors are zero; where the sampled loop has a certificate, the
-estimates begin in the middle of those that it is for, so that it covers the run.
+estimates begin in the middle of those that it is for, so that it covers the run, and a case whose
+reference turns faster than the certificate has it is run with the file's own, too.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveProof
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress
 from certrack.model.implementation import Implementation
+from certrack.references.base import lipschitz_bound
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
 from certrack.simulation.simulator import simulate
@@ -123,34 +125,58 @@ def attack_as_implemented(
     drive = system.implementation
     assert drive is not None
     sensors = _worst_sensor_errors(drive, system.plant.n)
-    search = _SampledSearch(guarantee.proof, lambda worst: progress(budget, budget, worst))
+    search = _SampledSearch(system, guarantee.proof, lambda worst: progress(budget, budget, worst))
     for case in cases.values():
         search.replay(case.replace(implementation=errors) for errors in sensors)
+        if not search.turns_as_proven(case):
+            replaced = case.replace(reference=system.reference)
+            search.replay(replaced.replace(implementation=errors) for errors in sensors)
     if seeded is not None:
         search.spend(*seeded, sensors, budget // RUNS_PER_SAMPLED_RUN, np.random.default_rng(seed))
     if search.best is None:
         raise NothingTried("no case found can be written as a sampled system")
     case, run, error = search.best
-    covered = guarantee.proof is not None and starts_inside(case, guarantee.proof)
     return DriveFalsification(
         error,
         None,
         case,
         ending_of(run),
         guarantee.certificate,
-        limited=not covered or may_be_limited(case, run),
+        # from a start that is covered the limits are proven never to act
+        limited=may_be_limited(case, run) if guarantee.proof is None else not search.covered(case),
         runs=search.runs,
     )
 
 
 class _SampledSearch:
-    """Sampled runs, and the worst of them."""
+    """Sampled runs, and the worst of them: of those that the proof covers, if there are any."""
 
-    def __init__(self, proof: SampledAdaptiveProof | None, tell: Callable[[float], None]) -> None:
+    def __init__(
+        self, system: System, proof: SampledAdaptiveProof | None, tell: Callable[[float], None]
+    ) -> None:
         self.runs, self.best = 0, cast("tuple[System, Run, float] | None", None)
-        self._tell = tell
+        self._system, self._proof, self._tell = system, proof, tell
+        self._best_covered = False
         priors = () if proof is None else proof.invariant.priors
         self._estimates = tuple((float(low) + float(high)) / 2 for low, high in priors)
+
+    def covered(self, case: System) -> bool:
+        """Whether the proof is of such a run: of its start, and of its reference."""
+        inside = self._proof is not None and starts_inside(case, self._proof)
+        return inside and self.turns_as_proven(case)
+
+    def turns_as_proven(self, case: System) -> bool:
+        """Whether y_d^(q+1) is known to change no faster than the file's, as the proof has it.
+
+        References of the continuous search keep the bounds of the file's up to y_d^(q+1) only.
+        Without a proof there is nothing to keep.
+        """
+        if self._proof is None or case.reference == self._system.reference:
+            return True
+        order = case.controller.coordinates.q + 1
+        known = lipschitz_bound(self._system.reference, order)
+        steepest = lipschitz_bound(case.reference, order)
+        return known is not None and steepest is not None and steepest <= known
 
     def replay(self, cases: Iterable[System]) -> None:
         """Run cases, each by a loop of its own."""
@@ -175,16 +201,23 @@ class _SampledSearch:
         runs = min(runs, int(MOST_SAMPLES / samples))
         if runs < len(sensors):
             return
-        simulators = [self._simulator(loop, point, drive) for drive in sensors]
         step, at, chosen, worst = WIDEST_MOVE, point, 0, -1.0
+        steep = not self.turns_as_proven(loop.case(point))
+
+        def named(place: np.ndarray, drive: Implementation) -> System:
+            case = loop.named_case(place).replace(implementation=drive)
+            if steep:  # the file's own is one that the proof covers
+                case = case.replace(reference=self._system.reference)
+            return self._placed(case)
+
+        simulators = [SampledSimulator(named(point, drive)) for drive in sensors]
         for i in range(runs):
             first = i < len(sensors)
             moved = 0.0 if first else step * rng.normal(size=len(at))
             other = first or rng.random() < OTHER_SENSORS
             k = i if first else int(rng.integers(len(sensors))) if other else chosen
             place = np.clip(at + moved * (high - low), low, high)
-            case = self._placed(loop.named_case(place).replace(implementation=sensors[k]))
-            error = tail_error(simulators[k].run(case))
+            error = tail_error(simulators[k].run(named(place, sensors[k])))
             self.runs += 1
             better = error > worst
             if better:
@@ -192,18 +225,14 @@ class _SampledSearch:
             step = step * STEP_GROWTH if better else step * STEP_GROWTH**-0.25
             step = float(np.clip(step, FINEST_MOVE, WIDEST_MOVE))
             self._tell(max(worst, 0.0 if self.best is None else self.best[2]))
-        self.replay([loop.case(at).replace(implementation=sensors[chosen])])
-
-    def _simulator(
-        self, loop: AdversarialLoop, point: np.ndarray, drive: Implementation
-    ) -> SampledSimulator:
-        return SampledSimulator(self._placed(loop.named_case(point).replace(implementation=drive)))
+        best = loop.case(at).replace(implementation=sensors[chosen])
+        self.replay([best.replace(reference=self._system.reference) if steep else best])
 
     def _compare(self, case: System, run: Run) -> None:
         self.runs += 1
-        error = tail_error(run)
-        if self.best is None or error > self.best[2]:
-            self.best = case, run, error
+        error, covered = tail_error(run), self.covered(case)
+        if self.best is None or (covered, error) > (self._best_covered, self.best[2]):
+            self.best, self._best_covered = (case, run, error), covered
         self._tell(self.best[2])
 
     def _placed(self, case: System) -> System:
