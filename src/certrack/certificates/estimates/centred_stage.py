@@ -3,7 +3,7 @@
 Its data are those of the stage before but for the bound on zeta, which is that of a set
 e^T P e <= E^2: they change with a gain, with E, and with P. The first program has many optimal P
 where a part of P acts on no active constraint; the largest of them has the smallest set, and a
-small reward for the trace of P singles it out. Its gradient follows from the equations of the
+small reward for the mean of T^T P T, with T^T P T = I, singles it out. Its gradient follows from the equations of the
 optimum, differentiated implicitly (:func:`.last_digits.optimality_residual`): with F(x, z; v) = 0,
 
     d(x, z) = -(dF/d(x, z))^-1 dF
@@ -128,7 +128,7 @@ class ReachedSet:
     def of(
         cls, rated: Rated, changed: Sequence[tuple[Rated, Rated]] = (), step: float = 1.0
     ) -> ReachedSet | None:
-        """That of a problem and its decay rate; None if there is none.
+        """That of a problem and its decay rate; None if there is none, or no largest P.
 
         Parameters
         ----------
