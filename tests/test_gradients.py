@@ -130,13 +130,21 @@ def centred_designs(n, seed=2):
 
 
 @pytest.mark.parametrize("shift", [0.03, -0.02])
-@pytest.mark.parametrize("n", [2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5))])
+@pytest.mark.parametrize("n", ORDERS[1:])
 def test_cascade_with_a_centred_stage(n, shift):
-    """For n = 3 and more the first program has many optimal P, of which the largest counts.
+    """For n = 3 and more the first program has many optimal P, of which the largest counts."""
+    check_centred_cascade(n, 2, shift)
 
-    At n = 6 these plants' P is solved for to 1e-3 only: there is no difference to compare with.
-    """
-    stage, design, v = centred_designs(n)
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 5, 6, 8])
+def test_cascade_with_a_centred_stage_of_other_plants(seed):
+    """Where a reward in the program's units would outweigh the cost, or cost 1 % of the bound."""
+    check_centred_cascade(6, seed, 0.03)
+
+
+def check_centred_cascade(n, seed, shift):
+    stage, design, v = centred_designs(n, seed)
     shares = SHARE, HEAD_SHARE, HEAD_SHARE
 
     def log_bound(v, shares=shares, shift=shift):
@@ -175,13 +183,13 @@ def test_centred_problems_are_those_of_the_certificate():
 
 
 def test_the_largest_set_costs_next_to_nothing_and_is_no_larger():
-    """e^T P e <= E^2: a larger P has a smaller set, and E is that of the best P to 1e-5."""
+    """e^T P e <= E^2: a larger P has a smaller set, and E is that of the best P to 1e-7."""
     _, design, v = centred_designs(3)
     problem = design(v)[0]
     best = semidefinite_estimate(problem, SHARE, target=2)
     largest = ReachedSet.of((problem, best.alpha))
     P = best.program.solution(best.point, best.alpha).P
-    assert best.bound * (1 - 1e-9) <= largest.bound <= best.bound * (1 + 1e-5)
+    assert best.bound * (1 - 1e-9) <= largest.bound <= best.bound * (1 + 1e-7)
     assert np.trace(largest.P[:2, :2]) > 1.01 * np.trace(P[:2, :2])
 
 

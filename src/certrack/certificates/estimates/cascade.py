@@ -32,6 +32,9 @@ from certrack.systems.system import System
 #: A shift that is known from nearby is tried so much smaller and larger, too.
 SHIFT_RATIO = 1.06
 
+#: Step in logarithms of rates, centre and E where no other is asked for.
+LOG_STEP = 1e-5
+
 #: Digits of the floats that stand for a proof.
 STAGE_DIGITS = 13
 
@@ -160,7 +163,7 @@ def cascade_estimate(
     problem: ErrorProblem,
     shares: tuple[float, float],
     changed: Sequence[tuple[ErrorProblem, ErrorProblem]] = (),
-    step: float = 1.0,
+    step: float = LOG_STEP,
 ) -> CascadeEstimate | None:
     """The bound with each stage's alpha a share of its fastest rate; None if there is none.
 
@@ -193,9 +196,12 @@ def centred_cascade_estimate(
     shares: tuple[float, float, float],
     shift: float,
     changed: Sequence[tuple[StageDesign, StageDesign]] = (),
-    step: float = 1.0,
+    step: float = LOG_STEP,
 ) -> CascadeEstimate | None:
     """The same with a centred stage between the two; None if one of the three has no solution.
+
+    Nor if the first has no P that is larger than its others (:class:`.centred_stage.ReachedSet`):
+    there the set that the second begins with is none that could be differentiated.
 
     Parameters
     ----------

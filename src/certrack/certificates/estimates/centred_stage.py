@@ -3,7 +3,7 @@
 Its data are those of the stage before but for the bound on zeta, which is that of a set
 e^T P e <= E^2: they change with a gain, with E, and with P. The first program has many optimal P
 where a part of P acts on no active constraint; the largest of them has the smallest set, and a
-small reward for the trace of P singles it out. Its gradient follows from the equations of the
+small reward for the mean of T^T P T, with T^T P T = I, singles it out. Its gradient follows from the equations of the
 optimum, differentiated implicitly (:func:`.last_digits.optimality_residual`): with F(x, z; v) = 0,
 
     d(x, z) = -(dF/d(x, z))^-1 dF
@@ -20,7 +20,7 @@ import sympy
 
 from certrack.certificates.centred import CentredProblems, bounds_needed
 from certrack.certificates.estimates.last_digits import optimality_residual, optimality_slopes
-from certrack.certificates.estimates.recentred import about_itself
+from certrack.certificates.estimates.recentred import about_itself, inverse_root
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram
 from certrack.core.expressions import symbol
@@ -32,8 +32,14 @@ from certrack.systems.system import System
 #: A design as this stage needs it: its error system and its recursion.
 StageDesign = tuple[ErrorProblem, ErrorCoordinates]
 
-#: What the trace of P is worth, in units of the program: the bound is larger by about its square.
-TRACE_REWARD = 1e-4
+#: What P in units of itself is worth, as a part of the cost: that is larger by about its square.
+SIZE_REWARD = 1e-4
+
+#: Rounds: the first is in units of the solver's P, which is not unique; the last in its own.
+REWARD_ROUNDS = 2
+
+#: A solution counts if its residual is no more than this part of the reward.
+REWARD_SEEN = 1e-2
 
 #: An error system, and the decay rate it is looked at with, 1/s.
 Rated = tuple[ErrorProblem, float]
@@ -122,7 +128,7 @@ class ReachedSet:
     def of(
         cls, rated: Rated, changed: Sequence[tuple[Rated, Rated]] = (), step: float = 1.0
     ) -> ReachedSet | None:
-        """That of a problem and its decay rate; None if there is none.
+        """That of a problem and its decay rate; None if there is none, or no largest P.
 
         Parameters
         ----------
@@ -138,18 +144,20 @@ class ReachedSet:
         point = program.point(alpha)
         if point is None:
             return None
-        reward = np.array([TRACE_REWARD * (i == j < target) for i, j in program.entries])
-        reward = np.append(reward, np.zeros(len(point.x) - len(reward)))
-        cost = point.cost
-        point = about_itself(program, replace(point, cost=cost - reward), alpha)
+        cost, reward = point.cost, np.zeros_like(point.cost)
+        for _ in range(REWARD_ROUNDS):
+            reward = _reward(program, replace(point, cost=cost))
+            point = about_itself(program, replace(point, cost=cost - reward), alpha)
         here = program.numbers(alpha)
         assert here is not None
         unit = float(cost.max() / (here[0].max() or 1.0))
         P, bound = _set_of(program, rated, point.x)
-        if not bound > 0:
-            return None
         sizes = problem.n + sum(problem.counts), problem.n
-        slopes = optimality_slopes((point.cost, *here[1:]), sizes, point.x, point.z)
+        optimum = (point.cost, *here[1:]), sizes, point.x, point.z
+        left = np.linalg.norm(optimality_residual(*optimum))
+        if not (bound > 0 and left <= REWARD_SEEN * np.linalg.norm(reward)):
+            return None
+        slopes = optimality_slopes(*optimum)
 
         def residual(of: Rated) -> np.ndarray:
             numbers = SemidefiniteProgram(of[0], target, program.scaling).numbers(of[1])
@@ -169,6 +177,22 @@ class ReachedSet:
             )
             pairs.append(pair)
         return cls(P, bound, pairs)
+
+
+def _reward(program: SemidefiniteProgram, point: ProgramPoint) -> np.ndarray:
+    """For each variable: a part of the cost times the mean of T^T P T, which is I at the point.
+
+    In the program's units entries of P differ by powers of ten from plant to plant, and a reward
+    that is nothing for one outweighs the cost of another.
+    """
+    free = program.target
+    T = inverse_root(program.parts(point.x)[0][:free, :free])
+    weights = SIZE_REWARD * float(point.cost @ point.x) / free * (T @ T.T)
+    reward = np.zeros_like(point.cost)
+    for k, (i, j) in enumerate(program.entries):
+        if j < free:
+            reward[k] = weights[i, j] * (1 if i == j else 2)
+    return reward
 
 
 def _set_of(program: SemidefiniteProgram, rated: Rated, x: np.ndarray) -> tuple[np.ndarray, float]:

@@ -78,10 +78,10 @@ class _Centre:
         P, multipliers = program.parts(point.x)
         weights = np.concatenate(multipliers)
         if program.problem.adaptation is None:
-            T = _inverse_root(P)
+            T = inverse_root(P)
         else:
             T = np.zeros_like(P)
-            T[:-1, :-1], T[-1:, -1:] = _inverse_root(P[:-1, :-1]), _inverse_root(P[-1:, -1:])
+            T[:-1, :-1], T[-1:, -1:] = inverse_root(P[:-1, :-1]), inverse_root(P[-1:, -1:])
         least = CENTRE_FLOOR * weights.max(initial=np.finfo(float).tiny)
         return cls(T, np.maximum(weights, least))
 
@@ -129,7 +129,7 @@ class _Centre:
         return matrix
 
 
-def _inverse_root(P: np.ndarray) -> np.ndarray:
+def inverse_root(P: np.ndarray) -> np.ndarray:
     """T with T^T P T = I, as far as P is not below its floor."""
     values, vectors = np.linalg.eigh(P)
     least = CENTRE_FLOOR * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
