@@ -3,7 +3,7 @@
 Its data are those of the stage before but for the bound on zeta, which is that of a set
 e^T P e <= E^2: they change with a gain, with E, and with P. The first program has many optimal P
 where a part of P acts on no active constraint; the largest of them has the smallest set, and a
-small reward for the mean of T^T P T, with T^T P T = I, singles it out. Its gradient follows from the equations of the
+small reward for P in units of itself singles it out. Its gradient follows from the equations of the
 optimum, differentiated implicitly (:func:`.last_digits.optimality_residual`): with F(x, z; v) = 0,
 
     d(x, z) = -(dF/d(x, z))^-1 dF
@@ -32,8 +32,9 @@ from certrack.systems.system import System
 #: A design as this stage needs it: its error system and its recursion.
 StageDesign = tuple[ErrorProblem, ErrorCoordinates]
 
-#: What P in units of itself is worth, as a part of the cost: that is larger by about its square.
-SIZE_REWARD = 1e-4
+#: What P in units of itself is worth, as a part of the cost: that is larger by about its square,
+#: gradients err by up to its size, for these units count as fixed.
+SIZE_REWARD = 1e-5
 
 #: Rounds: the first is in units of the solver's P, which is not unique; the last in its own.
 REWARD_ROUNDS = 2
