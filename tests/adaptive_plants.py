@@ -4,6 +4,35 @@ import numpy as np
 
 import certrack
 
+#: A plant of first order that is certified and attacked in seconds.
+EASY = """
+[plant]
+states = ["x"]
+regressor = ["x"]
+gain_sign = 1
+[plant.uncertainty]
+tau = [1]
+gamma = [0]
+beta = [0.1]
+[truth]
+input_gain = 1
+theta = [0.5]
+omega = ["0.1*sin(t)"]
+[reference]
+signal = "0.2*sin(t)"
+[law]
+kind = "adaptive"
+c = [2]
+gain_rate = 1
+leak_gain = 1
+leak_theta = 1
+delta0 = 1
+theta0 = [0.5]
+[simulation]
+x0 = [0]
+duration = 10
+"""
+
 DRIFTS = ["0", "-0.5*x1", "0.3*sin(x1)", "-0.3*{last}", "0.2*x1**2*{last}", "0.2*tanh(x1)"]
 REGRESSORS = ["1", "sin(x1)", "{last}", "1 + x1*sin({last})", "cos(x1)", "tanh(2*{last})", "x1"]
 

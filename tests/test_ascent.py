@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_plants import random_plant
+from adaptive_plants import EASY, random_plant
 
 import certrack
 from certrack.certificates.bootstrap.certify import certify_bootstrap
@@ -219,35 +219,6 @@ def test_without_a_disturbance_the_reference_is_driven_alone():
 def test_a_reference_that_stands_still_is_not_searched():
     with pytest.raises(NothingTried, match="stands still"):
         ascend(EXAMPLE, (0.2, 0.0), [], 100, 0, silent)
-
-
-EASY = """
-[plant]
-states = ["x"]
-regressor = ["x"]
-gain_sign = 1
-[plant.uncertainty]
-tau = [1]
-gamma = [0]
-beta = [0.1]
-[truth]
-input_gain = 1
-theta = [0.5]
-omega = ["0.1*sin(t)"]
-[reference]
-signal = "0.2*sin(t)"
-[law]
-kind = "adaptive"
-c = [2]
-gain_rate = 1
-leak_gain = 1
-leak_theta = 1
-delta0 = 1
-theta0 = [0.5]
-[simulation]
-x0 = [0]
-duration = 10
-"""
 
 
 def test_a_bootstrap_that_gains_nothing_says_what_to_do():

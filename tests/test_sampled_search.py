@@ -7,6 +7,7 @@ from dataclasses import replace
 import flint
 import numpy as np
 import pytest
+from adaptive_plants import EASY
 
 import certrack
 from certrack.certificates.bootstrap.tape import Tape
@@ -20,47 +21,26 @@ from certrack.studies.falsifier.sampled_search import (
     attack_as_implemented,
 )
 
-EASY = """
-[plant]
-states = ["x"]
-regressor = ["x"]
-gain_sign = 1
-[plant.uncertainty]
-tau = [1]
-gamma = [0]
-beta = [0.1]
-[truth]
-input_gain = 1
-theta = [0.5]
-omega = ["0.1*sin(t)"]
-[reference]
-signal = "0.2*sin(t)"
-[law]
-kind = "adaptive"
-c = [2]
-gain_rate = 1
-leak_gain = 1
-leak_theta = 1
-delta0 = 1
-theta0 = [0.5]
+#: The loop of first order on a drive.
+ON_DRIVE = (
+    EASY.rstrip()
+    + """
+estimates = [1, 0.5]
 [implementation]
 period = 0.005
 delay = 0.5
 noise_bound = [0.001]
-[simulation]
-x0 = [0]
-duration = 10
-estimates = [1, 0.5]
 """
+)
 
 
 #: The same with a regressor that saturates.
-KINKED = EASY.replace('["x"]\ngain', '["min(max(x, -0.15), 0.15)"]\ngain')
+KINKED = ON_DRIVE.replace('["x"]\ngain', '["min(max(x, -0.15), 0.15)"]\ngain')
 
 
 @functools.cache
 def attacked():
-    return falsify(certrack.loads(EASY), budget=1200)
+    return falsify(certrack.loads(ON_DRIVE), budget=1200)
 
 
 @pytest.mark.slow
@@ -86,7 +66,7 @@ def test_sampling_and_sensors_hurt():
 def test_the_case_keeps_what_the_assumptions_say():
     case = attacked().drive.system
     assert not certrack.check_assumption_1(case)
-    system = certrack.loads(EASY)
+    system = certrack.loads(ON_DRIVE)
     assert (case.plant, case.law) == (system.plant, system.law)
     allowed = system.reference.bounds(1).values
     assert np.all(np.array(case.reference.bounds(1).values) <= np.array(allowed) * (1 + 1e-9))
@@ -141,7 +121,7 @@ def test_sensors_stay_at_their_bounds():
 
 
 def test_a_period_that_is_too_long_escapes():
-    system = certrack.loads(EASY.replace("period = 0.005", "period = 1.9"))
+    system = certrack.loads(ON_DRIVE.replace("period = 0.005", "period = 1.9"))
     drive = falsify(system, budget=400).drive
     assert drive.worst_error == math.inf or drive.worst_error > 3 * attacked().drive.worst_error
     assert not drive.exceeds
@@ -161,7 +141,7 @@ def test_example1_at_one_millisecond():
 
 def test_a_reference_that_turns_faster_is_not_covered():
     """The proof has the slope of y_d', which bounds of y_d and y_d' leave open."""
-    system = certrack.loads(EASY)
+    system = certrack.loads(ON_DRIVE)
     certificate, proof = certify_sampled_adaptive(system)
     search = _SampledSearch(system, proof, lambda worst: None)
     assert certificate.verified and search.covered(search._placed(system))

@@ -350,11 +350,10 @@ def _sampled(
     """That of the adaptive law as implemented; the bootstrap's first proof is its own, too."""
     if system.implementation is None:
         return missing_sampled(NO_IMPLEMENTATION), None
-    first = next(iter(methods.proofs.get("bootstrap", ())), None)
     return certify_sampled_adaptive(
         system,
         effort,
-        first if isinstance(first, Proof) else None,
+        methods.bootstrap_start,
         lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
     )
 

@@ -85,6 +85,12 @@ class Methods:
         return smallest(self.certificates[kind] for kind in self.kinds)
 
     @property
+    def bootstrap_start(self) -> Proof | None:
+        """The proof that the bootstrap begins with; None where there is none."""
+        first = next(iter(self.proofs.get("bootstrap", ())), None)
+        return first if isinstance(first, Proof) else None
+
+    @property
     def tightest(self) -> Proofs:
         """Proof of the smallest bound of those that a file holds."""
         return self._tightest(self.kinds)

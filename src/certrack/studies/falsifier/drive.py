@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.regional import is_regional
-from certrack.certificates.premise import contradicted
+from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core.progress import Progress
 from certrack.integrators.base import Outcome
@@ -82,11 +83,8 @@ def attacked_by_kernels(
     """
     case = sampled_case(system, bounds)
     implemented, proofs = certify_implemented(system, effort=effort, progress=certifying)
-    certificate: Certificate = implemented
-    broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
-    if broken and certificate.exists:
-        reason = f"a premise is contradicted: {broken[0].detail}"
-        certificate = replace(certificate, verified=False, reason=reason)
+    known = premises_as_implemented(system, proofs) if proofs else premises(system)
+    certificate = unless_contradicted(implemented, contradicted(known))
     run, escape, limited = case.run, None, may_be_limited(system, case.run)
     if is_regional(system):
         escape = first_escape(system, bounds, implemented.polytope)
@@ -97,6 +95,14 @@ def attacked_by_kernels(
     return DriveFalsification(
         case.error, case.estimate, case.system, ending_of(run), certificate, limited, escape
     )
+
+
+def unless_contradicted(certificate: Certificate, broken: Sequence[Premise]) -> Certificate:
+    """The certificate; without a word of verification where a premise is broken."""
+    if not broken or not certificate.exists:
+        return certificate
+    reason = f"a premise is contradicted: {broken[0].detail}"
+    return replace(certificate, verified=False, reason=reason)
 
 
 def may_be_limited(system: System, run: Run) -> bool:

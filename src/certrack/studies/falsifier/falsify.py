@@ -176,20 +176,17 @@ def falsify(
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
     drive = linear = guarantee = None
+
+    def certifying_drive(_: float, __: float | None, bound: float | None, /) -> None:
+        certifying(METHOD_STEPS, steps, bound)
+
     if system.implementation is not None:
         try:
-            drive = attacked_by_kernels(
-                system, bounds, effort, lambda _, __, bound: certifying(METHOD_STEPS, steps, bound)
-            )
+            drive = attacked_by_kernels(system, bounds, effort, certifying_drive)
         except NothingTried as refusal:
             left_out["drive"] = str(refusal)
             if isinstance(system.law, Adaptive):  # its loop is searched as it runs
-                guarantee = guarantee_as_sampled(
-                    system,
-                    methods,
-                    effort,
-                    lambda _, __, bound: certifying(METHOD_STEPS, steps, bound),
-                )
+                guarantee = guarantee_as_sampled(system, methods, effort, certifying_drive)
     progress(0, budget, None)
     implemented, system = system, system.replace(implementation=None)
     try:

@@ -247,22 +247,17 @@ class _StartSearch:
 
     def result(self) -> LostStarts:
         """The nearest lost start, run as a system of its own."""
-        gone = [
-            (_part(place), name, place)
-            for score, name, place in self.seen
-            if score == SCORE_OF_LOST
-        ]
-        gone.sort(key=lambda entry: entry[0])
-        nearer = [self._nearer(name, place) for _, name, place in gone[:MAX_SEGMENTS]]
+        gone = sorted(self._gone(), key=lambda entry: _part(entry[1]))
+        nearer = [self._nearer(name, place) for name, place in gone[:MAX_SEGMENTS]]
         nearer.sort(key=lambda entry: _part(entry[1]))
         replays = (self._replayed(name, place) for name, place in nearer)
         nearest = next((start for start in replays if start is not None), None)
-        lost = tuple(
-            (name, self._case(name, place).settings.x0)
-            for score, name, place in self.seen
-            if score == SCORE_OF_LOST
-        )
+        lost = tuple((name, self._case(name, place).settings.x0) for name, place in self._gone())
         return LostStarts(self.box, self.runs, self.lost, nearest, self.largest, lost)
+
+    def _gone(self) -> list[tuple[str, np.ndarray]]:
+        """Pattern and place of every run that was lost so far."""
+        return [(name, place) for score, name, place in self.seen if score == SCORE_OF_LOST]
 
     def _nearer(self, name: str, place: np.ndarray) -> tuple[str, np.ndarray]:
         """The nearest lost start that bisection finds between the middle and a lost one."""

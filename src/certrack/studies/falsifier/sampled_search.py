@@ -19,7 +19,6 @@ from typing import cast
 import numpy as np
 
 from certrack.certificates import Certificate
-from certrack.certificates.exact import Proof
 from certrack.certificates.methods import Methods
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
@@ -32,7 +31,12 @@ from certrack.references.base import lipschitz_bound
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsifier.drive import DriveFalsification, ending_of, may_be_limited
+from certrack.studies.falsifier.drive import (
+    DriveFalsification,
+    ending_of,
+    may_be_limited,
+    unless_contradicted,
+)
 from certrack.studies.falsifier.linear.sampled import noise_bounds
 from certrack.studies.falsifier.linear.search import NothingTried, tail_error
 from certrack.studies.falsifier.loop import AdversarialLoop
@@ -82,14 +86,9 @@ def guarantee_as_sampled(
     effort : {"fast", "default", "high"}
     progress : callable
     """
-    first = next((v for v in methods.proofs.get("bootstrap", ()) if isinstance(v, Proof)), None)
-    certificate: Certificate
-    certificate, proof = certify_sampled_adaptive(system, effort, first, progress)
+    certificate, proof = certify_sampled_adaptive(system, effort, methods.bootstrap_start, progress)
     broken = [p for p in contradicted(premises(system)) if p.name != CONTINUOUS_LAW]
-    if broken and certificate.exists:
-        reason = f"a premise is contradicted: {broken[0].detail}"
-        certificate = replace(certificate, verified=False, reason=reason)
-    return SampledGuarantee(certificate, proof)
+    return SampledGuarantee(unless_contradicted(certificate, broken), proof)
 
 
 def attack_as_implemented(
