@@ -1,12 +1,13 @@
-"""The designer in a real browser: Chromium from the system's packages, driven by Playwright."""
+"""The designer in a real browser: what is done with it, by mouse, keys and text."""
 
 import os
 import shutil
 import time
-from pathlib import Path
 
+import app_page
 import pytest
 from app_client import PATIENCE, running
+from app_page import EXACT, at_rest, opened, wait
 
 import certrack
 from certrack.app.gains import with_gains
@@ -14,91 +15,8 @@ from certrack.core.rounding import printed_bound
 from certrack.reports.tables import table
 from certrack.simulation.metrics import METRIC_LABELS
 
+chromium, server, shown = app_page.chromium, app_page.server, app_page.shown
 pytestmark = pytest.mark.slow
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-AXE = Path(__file__).parent / "data" / "axe" / "axe.min.js"
-
-if CHROMIUM is None:
-    pytest.skip(
-        "NOT TESTED: the designer in a browser, for want of chromium", allow_module_level=True
-    )
-
-playwright = pytest.importorskip(
-    "playwright.sync_api", reason="NOT TESTED: the designer in a browser, for want of playwright"
-)
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("app")
-    (folder / "mine.toml").write_text(certrack.starter("dual-motor-lean"))
-    with running("example1", folder=folder) as started:
-        started.folder = folder
-        yield started
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-def wait(page, expression, seconds=PATIENCE):
-    """Poll: our policy of content forbids what Playwright's own waiting evaluates."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if page.evaluate(expression):
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"not within {seconds} s: {expression}")
-
-
-EXACT = "lab.state.bound?.exact && lab.state.run?.design === lab.state.bound.design"
-
-
-def is_error(message):
-    """A page that is loaded again is refused first: its key is no longer in the address."""
-    return message.type == "error" and "403" not in message.text
-
-
-@pytest.fixture
-def shown(server, chromium):
-    """A function that opens a page; it fails afterwards if the page has logged an error."""
-    contexts, errors = [], []
-
-    def open_page(size=(1440, 900), theme="light", query="", **options):
-        context = chromium.new_context(
-            viewport={"width": size[0], "height": size[1]}, color_scheme=theme, **options
-        )
-        contexts.append(context)
-        page = context.new_page()
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda m: errors.append(m.text) if is_error(m) else None)
-        page.goto(server.address + query, timeout=1000 * PATIENCE)
-        wait(page, EXACT)
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert not errors
-
-
-def at_rest(page):
-    """Wait until the last move is proven, and the text follows."""
-    wait(page, f"lab.flight.length === 0 && {EXACT}")
-
-
-def opened(page, name):
-    page.click("#file")
-    page.locator(".menu .item", has_text=name).first.click()
-    if page.locator("text=Discard them").count():
-        page.click("text=Discard them")
-    wait(page, f"lab.state.name === '{name}.toml' || lab.state.name === '{name}'")
-    at_rest(page)
 
 
 def test_numbers_on_the_page_are_those_of_the_command_line(shown):
@@ -627,47 +545,6 @@ def test_a_drag_is_answered_in_time(shown):
     median, late = times[len(times) // 2], times[int(0.95 * len(times))]
     print(f"{len(times)} moves painted: median {median:.0f} ms, 95 % {late:.0f} ms")
     assert median < 1000
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1440, 900), (1000, 800), (430, 900)])
-def test_axe_finds_nothing_and_nothing_is_cut(shown, theme, size):
-    page = shown(size, theme, bypass_csp=True)
-    page.add_script_tag(content=AXE.read_text("utf-8"))
-    views = {"gains": None, "system": "#tab-system", "file": "#tab-file"}
-    for view, tab in views.items():
-        if tab:
-            page.click(tab)
-        found = page.evaluate(
-            "axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes.map((n) => n.html)]))"
-        )
-        assert not found, (view, found)
-        wide = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-        assert wide <= 0, view
-
-    def nothing_found(what):
-        found = page.evaluate(
-            "axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes.map((n) => n.html)]))"
-        )
-        assert not found, (what, found)
-
-    text = page.input_value("#text")
-    page.fill("#text", text.replace("x1**2*x2", "x1**2*x9"))
-    wait(page, "lab.state.textProblem !== null")
-    nothing_found("an error")
-    page.fill("#text", text.replace("gamma = [0.5, 0.2]", "gamma = [0.1, 0.2]"))
-    wait(page, "lab.state.bound?.contradicted?.length && lab.state.textProblem === null")
-    nothing_found("a contradicted premise")
-    page.click("#tab-system")
-    page.select_option('[id="field-reference.kind"]', "moves")
-    wait(page, "document.querySelectorAll('.profile circle').length === 3")
-    nothing_found("points of a reference")
-    page.click("#tab-gains")
-    page.locator("[data-task=tune]").click()
-    nothing_found("limits of tuning")
-    page.keyboard.press("Escape")
-    page.click("#file")
-    nothing_found("files")
 
 
 def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path):
