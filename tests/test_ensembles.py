@@ -624,3 +624,16 @@ def test_members_are_the_same_by_every_compiler(monkeypatch, tmp_path):
         found.append(engine.metrics_and_outcomes(3, 9, bands)[0])
     assert found[0].tobytes() != found[1].tobytes()  # they round differently: there are two
     np.testing.assert_allclose(*found, rtol=1e-6)
+
+
+def test_a_chunk_by_itself_does_not_depend_on_the_one_before_it():
+    """Its table of counts is that of an earlier chunk, made empty again."""
+    engine = Engine(make_plan(VARIANTS["four states"], 5, 1e-6, None, "alone"))
+    first, second = engine.packed(0, 4), engine.packed(4, 10)
+    assert first["totals"][0] == 4 and second["totals"][0] == 6
+    for (begin, end), stated in (((0, 4), first), ((4, 10), second), ((4, 10), second)):
+        fresh = engine.compute(begin, end).packed()
+        again = engine.packed(begin, end)
+        for found in (stated, again):
+            assert fresh.keys() == found.keys()
+            assert all(np.array_equal(fresh[name], found[name]) for name in fresh)

@@ -42,14 +42,14 @@ def complete(
             total if checkpoints is None else None,
             lambda part: progress(total.members + part, members, _largest(total)),
         )
-    for span, statistics, spent in results if missing else ():
-        if statistics is not total:
-            total.merge(statistics)
+    for span, arrays, spent in results if missing else ():
         covered.append(span)
         seconds += spent
-        if checkpoints is not None:
-            checkpoints.save(span, statistics.packed())
-            checkpoints.gather(total, covered)
+        if arrays is not None:
+            total.add_packed(arrays)
+            if checkpoints is not None:
+                checkpoints.save(span, arrays)
+                checkpoints.gather(total, covered)
         progress(total.members, members, _largest(total))
         require_survivors(total, members, plan.system)
     return wanted, seconds
@@ -66,10 +66,13 @@ def complete_corners(
     stored = None if checkpoints is None else checkpoints.load_corners(span)
     if stored is not None:
         return stored
+    statistics = plan.empty()
     if engine is None:
-        ((_, statistics, _),) = workers.on_cluster(plan, [span], client)
+        ((_, arrays, _),) = workers.on_cluster(plan, [span], client)
+        assert arrays is not None
+        statistics.add_packed(arrays)
     else:
-        statistics = engine.compute(*span, plan.empty())
+        engine.compute(*span, statistics)
     if checkpoints is not None:
         checkpoints.save_corners(span, statistics.packed())
     return statistics

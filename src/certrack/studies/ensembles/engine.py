@@ -39,6 +39,7 @@ class Engine:
         self.plan = plan
         self._problem = EnsembleProblem(plan.system, plan.seed, plan.tolerance)
         self.method = create_method(plan.method, self._problem, threads)
+        self._spare_bands: list[Bands] = []
 
     def compute(
         self,
@@ -69,6 +70,23 @@ class Engine:
         if self.plan.limit is not None:
             statistics.violations += int((tail > self.plan.limit).sum())
         return statistics
+
+    def packed(
+        self, begin: int, end: int, ran: Callable[[int], None] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Statistics of a chunk by itself, for a file or a network.
+
+        They are counted in a table of an earlier chunk, if no other thread has it.
+        """
+        try:
+            bands: Bands | None = self._spare_bands.pop()  # not asked first: threads take turns
+        except IndexError:
+            bands = None
+        statistics = self.compute(begin, end, self.plan.empty(bands), ran)
+        arrays = statistics.packed()
+        statistics.bands.clear(np.cumsum(arrays["bins"], dtype=np.int64))
+        self._spare_bands.append(statistics.bands)
+        return arrays
 
     def metrics_and_outcomes(
         self,
@@ -132,4 +150,4 @@ def compute_chunk(plan: Plan, begin: int, end: int) -> tuple[dict[str, np.ndarra
     """What a worker process runs: packed statistics, and the seconds without compilation."""
     engine = _engine_of(plan, plan.registered)
     clock = time.perf_counter()
-    return engine.compute(begin, end).packed(), time.perf_counter() - clock
+    return engine.packed(begin, end), time.perf_counter() - clock

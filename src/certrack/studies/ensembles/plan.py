@@ -80,11 +80,11 @@ class Plan:
     def __hash__(self) -> int:
         return hash(self.key)
 
-    def empty(self) -> Statistics:
-        """Statistics of no members."""
+    def empty(self, bands: Bands | None = None) -> Statistics:
+        """Statistics of no members; `bands` in which nothing is counted may be given."""
         metrics = {name: Tally() for name in METRICS}
         table = MemberTable() if self.per_member else None
-        return Statistics(Bands(self.centre, self.scale), metrics, table=table)
+        return Statistics(bands or Bands(self.centre, self.scale), metrics, table=table)
 
 
 def make_plan(

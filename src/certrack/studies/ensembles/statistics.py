@@ -102,6 +102,10 @@ class Bands:
         """Add the counts of other members."""
         self.counts += other.counts
 
+    def clear(self, filled: np.ndarray) -> None:
+        """Forget everything; `filled` are the bins, flat, in which there is something."""
+        self.counts.reshape(-1)[filled] = 0
+
     def quantiles(self, levels: tuple[float, ...] = LEVELS) -> np.ndarray:
         """Shape (levels, R, T), among the members that are alive."""
         quantiles = np.full((len(levels), *self.centre.shape), np.nan)

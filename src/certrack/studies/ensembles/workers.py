@@ -11,13 +11,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from certrack.core.errors import InputError, MissingExtra
 from certrack.studies.ensembles.engine import Engine, compute_chunk
 from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
 
-#: Members, their statistics, and the seconds spent on them divided by the number of workers.
-ChunkResult = tuple[Range, Statistics, float]
+#: Members, their statistics as arrays (None: already in the total), and the seconds spent on them
+#: divided by the number of workers.
+ChunkResult = tuple[Range, dict[str, np.ndarray] | None, float]
 
 #: Chunks in flight per worker: enough that none waits, few enough that memory stays flat.
 CHUNKS_PER_WORKER = 2
@@ -35,14 +38,16 @@ def in_this_process(
     total: Statistics | None,
     ran: Callable[[int], None] | None = None,
 ) -> Iterator[ChunkResult]:
-    """Compute here; the statistics are added to `total`, or each chunk's are its own.
+    """Compute here; the statistics are added to `total`, or each chunk's are arrays of its own.
 
     `ran` gets how many of a chunk are done, where members are run one by one.
     """
     for begin, end in chunks:
         clock = time.perf_counter()
-        statistics = engine.compute(begin, end, total, ran)
-        yield (begin, end), statistics, time.perf_counter() - clock
+        if total is not None:
+            engine.compute(begin, end, total, ran)
+        arrays = engine.packed(begin, end, ran) if total is None else None
+        yield (begin, end), arrays, time.perf_counter() - clock
 
 
 def on_cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[ChunkResult]:
@@ -65,9 +70,7 @@ def on_cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[Chu
     queue = as_completed(first)
     for future in queue:
         arrays, spent = future.result()
-        statistics = plan.empty()
-        statistics.add_packed(arrays)
-        yield spans.pop(future.key), statistics, spent / workers
+        yield spans.pop(future.key), arrays, spent / workers
         if (following := submit()) is not None:
             queue.add(following)
 
