@@ -36,6 +36,9 @@ TOLERANCE = 0.03
 #: Where a limit that is not kept shows in a row.
 COLUMN_OF_LIMIT = {"peak input": 4, "variation of input": 6, "period": 7}
 
+#: Signs of the tables.
+MINUS, NONE = "\N{MINUS SIGN}", "\N{EN DASH}"
+
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
@@ -59,8 +62,8 @@ class Section:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Files of gains: of all laws but mpc, and of mpc, which had fewer evaluations."""
-        return f"docs/laws/{self.name}.json", f"docs/laws/{self.name}-mpc.json"
+        """Files of gains."""
+        return (f"docs/laws/{self.name}.json",)
 
     def command(self, gains: str) -> list[str]:
         """What is run."""
@@ -79,11 +82,11 @@ SECTIONS = (
 )
 
 
-def measured(section: Section, gains: str) -> dict[str, Any]:
+def measured(section: Section, gains: str, pictures: Path | None) -> dict[str, Any]:
     """Run a command of the page in the root of the repository, and read what it says."""
-    folder = BUILD / Path(gains).stem
     program = str(Path(sys.executable).with_name("certrack"))
-    arguments = [*section.command(gains)[1:], "--json", "--plot", str(folder)]
+    drawn = [] if pictures is None else ["--plot", str(pictures)]
+    arguments = [*section.command(gains)[1:], "--json", *drawn]
     done = subprocess.run([program, *arguments], cwd=ROOT, stdout=subprocess.PIPE, check=True)
     result: dict[str, Any] = json.loads(done.stdout)
     return result
@@ -103,7 +106,7 @@ def _lines(section: Section, results: list[dict[str, Any]]) -> Iterator[str]:
     yield ""
     yield (
         "| law | tail error | worst member | settles [s] | peak | energy | variation | "
-        "longest period [ms] | gain −30 % | gain +30 % | certified |"
+        f"longest period [ms] | gain {MINUS}30 % | gain +30 % | certified |"
     )
     yield "|---|" + "--:|" * 10
     rows = list(_laws(results))
@@ -114,7 +117,7 @@ def _lines(section: Section, results: list[dict[str, Any]]) -> Iterator[str]:
     yield "|---|--:|---|"
     for name, figures, _ in rows:
         gains = ", ".join(f"{key} = {_gain(value)}" for key, value in figures["gains"].items())
-        yield f"| {name} | {figures.get('evaluations') or '–'} | {gains} |"
+        yield f"| {name} | {figures.get('evaluations') or NONE} | {gains} |"
 
 
 def _laws(results: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any], int]]:
@@ -158,7 +161,7 @@ def _number(value: float | None, scale: float = 1.0) -> str:
 def _bound(value: float | None, scale: float) -> str:
     """A certified error, rounded up."""
     if value is None or not math.isfinite(value):
-        return "–"
+        return NONE
     scaled = value if scale == 1 else math.nextafter(scale * value, math.inf)
     return printed_bound(scaled, 4)
 
@@ -223,8 +226,10 @@ def main() -> None:
     for section in SECTIONS:
         if options.sections and section.name not in options.sections:
             continue
-        files = [file for file in section.files if (ROOT / file).exists()]
-        new = written(section, [measured(section, file) for file in files])
+        files = section.files
+        folders = [BUILD / Path(file).stem if options.write else None for file in files]
+        pairs = zip(files, folders, strict=True)
+        new = written(section, [measured(section, *pair) for pair in pairs])
         page = PAGE.read_text("utf-8")
         old = section_of(page, section)
         if options.write:
