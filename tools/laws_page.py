@@ -15,13 +15,14 @@ import argparse
 import json
 import math
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import short_number
@@ -35,6 +36,9 @@ TOLERANCE = 0.03
 
 #: Where a limit that is not kept shows in a row.
 COLUMN_OF_LIMIT = {"peak input": 4, "variation of input": 6, "period": 7}
+
+#: Of a picture in the repository, which stays small.
+PICTURE_COLOURS = 64
 
 #: Signs of the tables.
 MINUS, NONE = "\N{MINUS SIGN}", "\N{EN DASH}"
@@ -236,7 +240,9 @@ def main() -> None:
             begin, end = section.marks
             PAGE.write_text(page.replace(begin + old + end, f"{begin}\n\n{new}\n\n{end}"), "utf-8")
             (picture,) = (BUILD / section.name).glob("*.png")
-            shutil.copy(picture, ROOT / "docs" / "pictures" / f"laws-{section.name}.png")
+            small = Image.open(picture).convert("RGB").quantize(PICTURE_COLOURS)
+            target = ROOT / "docs" / "pictures" / f"laws-{section.name}.png"
+            small.save(target, optimize=True)
             continue
         for gains in files:
             command = " ".join(section.command(gains))

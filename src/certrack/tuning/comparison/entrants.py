@@ -94,6 +94,7 @@ class LqrFamily(RivalGains):
         return Linear(lqr=lqr, feedforward=feedforward, observer=law.observer)
 
     def _at_rate(self, law: Law, rate: float) -> list[float]:
+        assert isinstance(law, Linear)
         plant, order = self.plant, np.arange(self.plant.n)
         sizes = np.abs(np.diag(output_derivatives(plant))) / rate**order  # of xi_1 by xi_i
         parts = np.where(order == 0, 1.0, WEIGHT_RATIO)
