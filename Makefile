@@ -3,7 +3,7 @@
 # make slow   runs the slow tail of the tests
 # make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
 # make hunt   gives the property tests other random examples than every other run had
-# make docs   builds the site, in build/site
+# make docs   measures the figures of its comparison of laws, and builds the site, in build/site
 # make bench  measures speed, as ratios within one run
 # make bench-compare BASE=main compares the speed of this tree with that of a commit
 # make mutants changes the source a little, and sees which changes no test notices
@@ -36,6 +36,7 @@ hunt: .venv/tested
 
 .PHONY: docs
 docs: .venv/documented
+	$(BIN)/python tools/laws_page.py
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -c docs -d build/doctrees . build/site
 
 bench: .venv/benched

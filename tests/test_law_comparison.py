@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,14 +12,21 @@ from click.testing import CliRunner
 
 import certrack
 from certrack.cli import cli, main
+from certrack.cli.console import to_json
 from certrack.laws.baselines.pid import Pid
 from certrack.model.implementation import Implementation
 from certrack.plotting.law_comparison import law_comparison_figure
 from certrack.reports.law_comparison import law_notes, law_table
 from certrack.tuning.comparison import compare_laws as comparison_module
-from certrack.tuning.comparison.compare_laws import NOTHING_FOUND, LawFigures, compare_laws
+from certrack.tuning.comparison.compare_laws import (
+    AS_STATED,
+    NOTHING_FOUND,
+    LawFigures,
+    compare_laws,
+)
 from certrack.tuning.comparison.entrants import ENTRANTS, entrant_of, informed, most_feedforward
 from certrack.tuning.comparison.gain_search import search_gains
+from certrack.tuning.comparison.known_gains import read_gains
 from certrack.tuning.comparison.trials import (
     ASTRAY_SCORE,
     LOST_SCORE,
@@ -157,6 +165,79 @@ def test_figures_are_those_of_the_runs(compared, short):
     assert lqr.worst_member >= lqr.members.statistics.metrics["tail_error"].quantile(0.5)
     assert math.isinf(lqr.bound) and "guesses" in lqr.bound_note  # g_n is not known
     assert stated.bound > stated.metrics.tail_error
+
+
+@pytest.mark.slow
+def test_known_gains_give_the_same_figures_without_a_search(compared, short, tmp_path, monkeypatch):
+    monkeypatch.setattr(comparison_module, "search_gains", untouched)
+    file = tmp_path / "gains.json"
+    file.write_text(to_json(compared.summary()))
+    known = read_gains(file, AS_STATED)
+    again = compare_laws(short, list(known.laws), members=known.member_count, known=known)
+    assert to_json(again.summary()) == file.read_text()
+    with pytest.raises(certrack.InputError, match="smc"):
+        compare_laws(short, ["smc"], members=2, known=known)
+
+
+def gains_text(**changes):
+    body = {
+        "limits": {"peak_input": 1.0, "input_variation": 2.0, "period": 0.003},
+        "laws": {"pid": {"gains": {"k_p": 1.0}, "evaluations": 3}},
+        "evaluations": 10,
+        "seed": 0,
+        "members": 4,
+    }
+    return json.dumps(body | changes)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no JSON", "not JSON"),
+        ("[]", "no file of gains"),
+        (gains_text(laws={}), "laws"),
+        (gains_text(laws={"pid": {}}), "laws.pid.gains"),
+        (gains_text(limits={"period": 1}), "limits.peak_input"),
+        (gains_text(laws={"pid": {"gains": {"k_q": 1.0}}}), "k_q"),
+        (gains_text(laws={"pid": {"gains": {"k_p": -1.0}}}), "k_p"),
+        (gains_text(laws={"nothing": {"gains": {}}}), "nothing"),
+    ],
+)
+def test_a_bad_file_of_gains_is_one_line(text, message, tmp_path, capsys):
+    file = tmp_path / "gains.json"
+    file.write_text(text)
+    with pytest.raises(SystemExit) as end:
+        main(["compare", "example1", "--gains", str(file)])
+    error = capsys.readouterr().err.strip().splitlines()
+    assert end.value.code == 2 and message in error[-1]
+
+
+def test_a_search_and_known_gains_exclude_each_other(tmp_path):
+    file = tmp_path / "gains.json"
+    file.write_text(gains_text())
+    result = CliRunner().invoke(cli, ["compare", "example1", "--gains", str(file), "--seed", "3"])
+    assert result.exit_code == 2 and "--seed cannot be given with --gains" in result.output
+
+
+def test_a_pid_begins_with_the_poles_of_the_files_law():
+    """k_p, k_i and k_d of a double integrator with a triple pole."""
+    axis = certrack.load(Path(__file__).parent / "data" / "friction-axis.toml")
+    law, _ = entrant_of(axis, "pid")
+    gains = law.law.gains_at(law.plant, 30.0)
+    b_0 = 1 / 2.706
+    poles = np.roots([1, b_0 * gains["k_d"], b_0 * gains["k_p"], b_0 * gains["k_i"]])
+    assert np.allclose(poles, -30, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["l1", "lqr", "mpc", "mrac"])
+def test_weights_begin_at_the_speed_that_is_asked_for(name):
+    entrant, family = entrant_of(sampled(certrack.load("dual-motor-lean"), 0.001), name)
+    for factor in (0.5, 1.0, 4.0):
+        poles = entrant.replace(
+            law=family.law(family.at_speed(factor))
+        ).controller.coordinates.poles
+        typical = np.exp(np.log(np.abs(poles)).mean())
+        assert 0.5 < typical / (6.0 * factor) < 2
 
 
 @pytest.mark.slow

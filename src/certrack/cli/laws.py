@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,13 @@ def law_options(command: Callable[..., Any]) -> Callable[..., Any]:
             show_default=True,
             help="With --laws, seed of the search and of the ensemble.",
         ),
+        click.option(
+            "--gains",
+            "gains_file",
+            type=click.Path(path_type=Path),
+            help="Measure laws with the gains in this file, which --laws with --json wrote, within "
+            "its limits; no search. Without --laws, all that it has.",
+        ),
     ]
     for option in reversed(options):
         command = option(command)
@@ -79,9 +86,20 @@ def law_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def refuse_without_laws(context: click.Context) -> None:
     """Refuse options that would change nothing."""
-    for name in ARGUMENTS:
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"--{name.replace('_', '-')} needs --laws", context)
+    for name in _on_command_line(context, ARGUMENTS):
+        raise click.UsageError(f"--{name.replace('_', '-')} needs --laws", context)
+
+
+def refuse_beside_gains(context: click.Context) -> None:
+    """Refuse options of a search that does not take place."""
+    for name in _on_command_line(context, set(ARGUMENTS) - {"members"}):
+        message = f"--{name.replace('_', '-')} cannot be given with --gains: the file says it"
+        raise click.UsageError(message, context)
+
+
+def _on_command_line(context: click.Context, names: Iterable[str]) -> list[str]:
+    source = context.get_parameter_source
+    return sorted(name for name in names if source(name) is ParameterSource.COMMANDLINE)
 
 
 def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict[str, Any]) -> None:
@@ -90,22 +108,30 @@ def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict
     from certrack.core import checks
     from certrack.reports import law_comparison as report
     from certrack.systems.reader import load
-    from certrack.tuning.comparison.compare_laws import compare_laws
+    from certrack.tuning.comparison.compare_laws import AS_STATED, compare_laws
+    from certrack.tuning.comparison.known_gains import read_gains
 
     system = load(file)
-    names = [name.strip() for name in wanted["laws"].split(",")]
+    context, known = click.get_current_context(), None
+    arguments = {ARGUMENTS[name]: wanted[name] for name in ARGUMENTS}
+    if wanted["gains_file"] is not None:
+        refuse_beside_gains(context)
+        known = read_gains(wanted["gains_file"], AS_STATED)
+        if not _on_command_line(context, ["members"]):
+            arguments["members"] = known.member_count
+    listed = ",".join(known.laws) if wanted["laws"] is None and known else wanted["laws"]
+    names = [name.strip() for name in listed.split(",")]
     if len(set(names)) < len(names):
         raise InputError("--laws", "names a law twice", wanted["laws"])
     for name in ("peak_input", "variation", "period"):
         if wanted[name] is not None:
             checks.real(f"--{name.replace('_', '-')}", wanted[name], above=0)
-    arguments = {ARGUMENTS[name]: wanted[name] for name in ARGUMENTS}
     with (
         _laws_named(),
         naming(file, "law", "law.delta0"),
         console.progress("Laws tuned and measured") as bar,
     ):
-        result = compare_laws(system, names, **arguments, progress=bar)
+        result = compare_laws(system, names, **arguments, known=known, progress=bar)
     pictures: list[Path] = []
     if plot is not None:
         from certrack import plotting

@@ -176,10 +176,12 @@ def compare(
     \b
     Example: certrack compare example1 example1-classic
              certrack compare dual-motor-lean --laws lean,lqr,smc --plot pictures
+             certrack compare example1 --gains gains.json
     """
-    if wanted["laws"] is not None:
+    if wanted["laws"] is not None or wanted["gains_file"] is not None:
         if len(files) != 1 or with_bound:
-            problem = "--laws needs one FILE, and certifies by itself"
+            option = "--gains" if wanted["laws"] is None else "--laws"
+            problem = f"{option} needs one FILE, and certifies by itself"
             raise click.UsageError(problem, click.get_current_context())
         compare_tuned_laws(files[0], plot, as_json, wanted)
         return

@@ -91,6 +91,12 @@ class PositiveGains(Family):
             moved[-1] = self.start[-1]
         return np.clip(moved, self.low, self.high)
 
+    def at_speed(self, factor: float) -> np.ndarray:
+        """The start with rates so many times as large: the first n numbers, if not said else."""
+        v: np.ndarray = self.start.copy()
+        v[: self.plant.n] += np.log(factor)
+        return v
+
     @abstractmethod
     def _base(self, law: Law, feedforward: int) -> Law:
         """The law from which the others differ in the tuned numbers only."""

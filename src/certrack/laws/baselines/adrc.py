@@ -41,6 +41,9 @@ class Adrc(Baseline):
     def feedback(self, plant: Plant) -> np.ndarray:
         return placed_feedback(plant, self.rate)
 
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        return {"rate": rate, "observer_rate": 5 * rate}
+
     def equations(self, s: Signals) -> Equations:
         n = len(s.x)
         z = [symbol(f"adrc_z{i + 1}") for i in range(n + 1)]

@@ -59,6 +59,10 @@ class Baseline(Robust):
     def feedback(self, plant: Plant) -> np.ndarray:
         """K, (n,)."""
 
+    @abstractmethod
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        """Gains with which the loop is about so fast, 1/s: where a search may begin."""
+
     def gains(self) -> Gains:
         raise DesignError("law", f"the {self.kind} law has no gains of the recursion")
 
@@ -93,6 +97,19 @@ def deviations(s: Signals) -> list[sympy.Expr]:
 def known_input(s: Signals, nu: sympy.Expr) -> sympy.Expr:
     """u of the known parameters: (nu - phi^T theta)/g_n."""
     return (nu - dot(s.phi, s.parameters("theta", s.r))) / s.parameter("g_n")
+
+
+def highest_gain(plant: Plant, g_n: float) -> float:
+    """b_0 of y^(n) = b_0 u + ..., its size."""
+    return abs(g_n * float(output_derivatives(plant)[-1, -1]))
+
+
+def weight_at(plant: Plant, g_n: float, rate: float) -> float:
+    """The weight of xi_1 with which :func:`weighted_feedback` is about so fast, 1/s.
+
+    For a chain of integrators the poles are those of a Butterworth filter of this radius.
+    """
+    return float((rate**plant.n / highest_gain(plant, g_n)) ** 2)
 
 
 def chain_rows(plant: Plant) -> np.ndarray:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from certrack.core.expressions import symbol
 from certrack.laws.base import gain
-from certrack.laws.baselines.base import Baseline, deviations, known_input, weighted_feedback
+from certrack.laws.baselines.base import (
+    Baseline,
+    deviations,
+    known_input,
+    weight_at,
+    weighted_feedback,
+)
 from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
@@ -38,6 +45,10 @@ class L1Adaptive(Baseline):
 
     def feedback(self, plant: Plant) -> np.ndarray:
         return weighted_feedback(self.weight, plant, self.known_gain(plant))
+
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        weight = weight_at(plant, self.known_gain(plant), rate)
+        return {"weight": weight, "adaptation": 10 * rate, "filter_rate": 3 * rate}
 
     def equations(self, s: Signals) -> Equations:
         _, adaptation, filter_rate = map(s.parameter, self.tuned)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from certrack.core.errors import InputError
 from certrack.core.keys import keyed
 from certrack.laws.base import gain
-from certrack.laws.baselines.base import Baseline, chain_rows, known_input
+from certrack.laws.baselines.base import Baseline, chain_rows, known_input, weight_at
 from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals
 from certrack.model.plant import Plant
@@ -56,6 +57,10 @@ class Mpc(Baseline):
 
     def feedback(self, plant: Plant) -> np.ndarray:
         return self.plan_matrices(plant)[2]
+
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        weight = weight_at(plant, self.known_gain(plant), rate)
+        return {"weight": weight, "horizon": 3 / rate}
 
     def plan_matrices(self, plant: Plant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A, B and K of the moves: xi_{j+1} = A xi_j + B v_j with v = g_n u_xi, and v_j = K xi_j.

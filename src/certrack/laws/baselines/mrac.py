@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from certrack.core.expressions import symbol
 from certrack.laws.base import gain
-from certrack.laws.baselines.base import Baseline, deviations, known_input, weighted_feedback
+from certrack.laws.baselines.base import (
+    Baseline,
+    deviations,
+    known_input,
+    weight_at,
+    weighted_feedback,
+)
 from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
@@ -37,6 +43,13 @@ class Mrac(Baseline):
 
     def feedback(self, plant: Plant) -> np.ndarray:
         return weighted_feedback(self.weight, plant, self.known_gain(plant))
+
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        weight = weight_at(plant, self.known_gain(plant), rate)
+        settled = replace(self, weight=weight)
+        # A constant is adapted as k' = adaptation P_nn xi_n, xi_n' = ... - k: an oscillator.
+        adaptation = rate**2 / float(settled.parameters(plant)["P_n"][-1])
+        return {"weight": weight, "adaptation": adaptation, "leak": rate / 10}
 
     def equations(self, s: Signals) -> Equations:
         _, adaptation, leak = map(s.parameter, self.tuned)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,12 @@ import sympy
 
 from certrack.core.expressions import symbol
 from certrack.laws.base import gain
-from certrack.laws.baselines.base import Baseline, followed_states, placed_feedback
+from certrack.laws.baselines.base import (
+    Baseline,
+    followed_states,
+    highest_gain,
+    placed_feedback,
+)
 from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
@@ -41,6 +47,12 @@ class Pid(Baseline):
 
     def feedback(self, plant: Plant) -> np.ndarray:
         return placed_feedback(plant, 1.0 / self.filter_time)
+
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        """The last coefficients of (D + rate)^(n+1) int e dt: with n = 2 all poles are there."""
+        n, b_0 = plant.n, highest_gain(plant, self.known_gain(plant))
+        k_i, k_p, k_d = (comb(n + 1, i) * rate ** (n + 1 - i) / b_0 for i in range(3))
+        return {"k_p": k_p, "k_i": k_i, "k_d": k_d, "filter_time": 0.1 / rate}
 
     def equations(self, s: Signals) -> Equations:
         k_p, k_i, k_d, T_f = map(s.parameter, self.tuned)

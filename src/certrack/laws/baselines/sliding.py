@@ -44,6 +44,9 @@ class SlidingMode(Baseline):
         linearised: np.ndarray = equivalent_feedback(plant, row)
         return linearised - self.switching / self.layer * row
 
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        return {"rate": rate, "switching": self.switching, "layer": self.layer}
+
     def equations(self, s: Signals) -> Equations:
         _, switching, layer = map(s.parameter, self.tuned)
         sigma = dot(s.parameters("S", len(s.x)), deviations(s))

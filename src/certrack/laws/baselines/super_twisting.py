@@ -44,6 +44,9 @@ class SuperTwisting(Baseline):
         row = sliding_row(plant, self.rate)
         return equivalent_feedback(plant, row) - self.k_1 / np.sqrt(self.layer) * row
 
+    def gains_at(self, plant: Plant, rate: float) -> Mapping[str, float]:
+        return {"rate": rate, "k_1": self.k_1, "k_2": self.k_2, "layer": self.layer}
+
     def equations(self, s: Signals) -> Equations:
         _, k_1, k_2, layer = map(s.parameter, self.tuned)
         w = symbol("twisting_integral")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,14 @@ from certrack.systems.system import System, require_system
 from certrack.tuning.certified import certified_or_why
 from certrack.tuning.comparison.entrants import entrant_of, with_input_limit
 from certrack.tuning.comparison.gain_search import FoundGains, search_gains
+from certrack.tuning.comparison.known_gains import KnownGains
 from certrack.tuning.comparison.trials import (
     PEAK,
     SharedLimits,
     Trials,
     resting_error,
     sampled,
+    score,
 )
 from certrack.tuning.runs import WORSE
 
@@ -133,7 +135,8 @@ class LawFigures:
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
         if not self.works or self.metrics is None:
-            return {"note": self.why_not, "gains": self._plain_gains()}
+            tried = None if self.searched is None else self.searched.evaluations
+            return {"note": self.why_not, "gains": self._plain_gains(), "evaluations": tried}
         members = self.members
         statistics = {} if members is None else members.statistics.metrics["tail_error"].summary()
         return {
@@ -157,7 +160,10 @@ class LawFigures:
 
     def _plain_gains(self) -> dict[str, Any]:
         gains = self.gains()
-        return {name: getattr(value, "error", value) for name, value in gains.items()}
+        return {
+            name: asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+            for name, value in gains.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -207,6 +213,7 @@ def compare_laws(
     budget: int = 150,
     members: int = 1000,
     seed: int = 0,
+    known: KnownGains | None = None,
     progress: Progress = silent,
 ) -> LawComparison:
     """Tune laws for one system by one search within one set of limits, and measure them alike.
@@ -230,6 +237,9 @@ def compare_laws(
         Of the ensemble that measures each.
     seed : int
         Of search and ensemble.
+    known : KnownGains, optional
+        Gains of an earlier comparison, to be measured anew and not searched. Then its limits,
+        budget and seed hold, and none are given.
     progress : callable
 
     Returns
@@ -239,7 +249,7 @@ def compare_laws(
     Raises
     ------
     InputError
-        If a law is unknown or cannot be made for this plant.
+        If a law is unknown or cannot be made for this plant, or has no known gains.
     MissingExtra
         If nothing solves the plans of ``mpc``.
     """
@@ -249,6 +259,10 @@ def compare_laws(
     for name, value in (("peak_input", peak_input), ("variation", variation), ("period", period)):
         if value is not None:
             checks.real(name, value, above=0)
+    if known is not None:
+        limits = known.limits
+        peak_input, variation, period = limits.peak_input, limits.input_variation, limits.period
+        budget, seed = known.budget, known.seed
     entrants = {name: entrant_of(sampled(system, USUAL_PERIOD), name) for name in laws}
     base = sampled(system, USUAL_PERIOD)
     measure = _Measure(base, members, seed)
@@ -268,6 +282,7 @@ def compare_laws(
         name: with_input_limit(entrant, family, aimed.peak_input)
         for name, (entrant, family) in entrants.items()
     }
+    laws_known = {} if known is None else {n: known.law(n, e.law) for n, (e, _) in entrants.items()}
     total = len(entrants) + 1
     progress(0, total, None)
     rows = [measure.figures(AS_STATED, stated, base.law, limits, None)]
@@ -275,7 +290,11 @@ def compare_laws(
         progress(i + 1, total, None)
         trials = measure.trials_of(entrant)
         trials.starts = list(stated.starts)
-        searched = search_gains(trials, family, aimed, measure.resting, budget, seed)
+        if known is None:
+            searched = search_gains(trials, family, aimed, measure.resting, budget, seed)
+        else:
+            again = score(trials, laws_known[name], aimed, measure.resting)
+            searched = FoundGains(laws_known[name], again, known.evaluations[name])
         rows.append(measure.figures(name, trials, searched.law, limits, searched))
     progress(total, total, None)
     return LawComparison(base, limits, tuple(rows), budget, seed, members)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -12,21 +13,26 @@ from certrack.core import checks
 from certrack.core.errors import CertrackError, InputError
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
-from certrack.laws.baselines.base import Baseline
+from certrack.laws.baselines.base import Baseline, weight_at
 from certrack.laws.baselines.mpc import Mpc
 from certrack.laws.classic import Classic
 from certrack.laws.linear import Linear
 from certrack.laws.lqr import LqrWeights
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.laws.registry import BASELINES
 from certrack.laws.robust import Robust
 from certrack.references.base import Reference
 from certrack.simulation.planned_input import quadratic_programs
 from certrack.systems.system import Settings, System
-from certrack.tuning.families import AdaptiveFamily, Family, PositiveGains, RobustFamily
+from certrack.tuning.families import AdaptiveFamily, PositiveGains, RobustFamily
 from certrack.tuning.linear_family import rates_of
 
-#: First weight of each state in parts of the one before it, from that of the output on.
-WEIGHT_OF_OUTPUT, WEIGHT_RATIO = 100.0, 0.1
+#: Gains of rivals are searched up to so many times those of the start, and down as far: their units
+#: differ, and so may their sizes.
+RIVAL_FACTOR = 1e6
+
+#: First weights of the other states, in parts of that of the output where they move as it does.
+WEIGHT_RATIO = 0.1
 
 #: Damping with which the paper's law begins.
 FIRST_DAMPING = 1.0
@@ -35,7 +41,28 @@ FIRST_DAMPING = 1.0
 FIRST_ADAPTATION = 1.0
 
 
-class BaselineFamily(PositiveGains):
+class RivalGains(PositiveGains):
+    """Gains that begin as fast as the file's own law, in a wide box."""
+
+    def __init__(self, system: System, feedforward: int) -> None:
+        self._rate = float(np.exp(np.log(rates_of(system)).mean()))
+        super().__init__(system, feedforward)
+        self.low, self.high = (
+            self.start + v for v in (-np.log(RIVAL_FACTOR), np.log(RIVAL_FACTOR))
+        )
+
+    def at_speed(self, factor: float) -> np.ndarray:
+        return np.log(np.array(self._at_rate(self.base, factor * self._rate)))
+
+    def _numbers(self, law: Law) -> list[float]:
+        return self._at_rate(law, self._rate)
+
+    @abstractmethod
+    def _at_rate(self, law: Law, rate: float) -> list[float]:
+        """The tuned numbers of a loop that is about so fast, 1/s."""
+
+
+class BaselineFamily(RivalGains):
     """The gains that a baseline says are its tuned ones."""
 
     def __init__(self, system: System, law: type[Baseline], feedforward: int) -> None:
@@ -47,27 +74,32 @@ class BaselineFamily(PositiveGains):
             return replace(law, feedforward=feedforward)
         return self._law(feedforward=feedforward, observer=law.observer)
 
-    def _numbers(self, law: Law) -> list[float]:
-        return [getattr(law, name) for name in self._law.tuned]
+    def _at_rate(self, law: Law, rate: float) -> list[float]:
+        assert isinstance(law, Baseline)
+        gains = law.gains_at(self.plant, rate)
+        return [gains[name] for name in self._law.tuned]
 
     def _with(self, values: np.ndarray) -> Law:
         gains: dict[str, Any] = dict(zip(self._law.tuned, map(float, values), strict=True))
         return replace(self.base, **gains)
 
 
-class LqrFamily(PositiveGains):
+class LqrFamily(RivalGains):
     """Linear feedback by the weights of all states."""
 
     kind = "linear"
 
     def _base(self, law: Law, feedforward: int) -> Law:
-        weights = WEIGHT_OF_OUTPUT * WEIGHT_RATIO ** np.arange(self.plant.n)
-        lqr = LqrWeights(tuple(map(float, weights)))
+        lqr = LqrWeights((1.0,) * self.plant.n)
         return Linear(lqr=lqr, feedforward=feedforward, observer=law.observer)
 
-    def _numbers(self, law: Law) -> list[float]:
-        assert isinstance(law, Linear) and law.lqr is not None
-        return list(law.lqr.diagonal(self.plant.n))
+    def _at_rate(self, law: Law, rate: float) -> list[float]:
+        assert isinstance(law, Linear)
+        plant, order = self.plant, np.arange(self.plant.n)
+        sizes = np.abs(np.diag(output_derivatives(plant))) / rate**order  # of xi_1 by xi_i
+        parts = np.where(order == 0, 1.0, WEIGHT_RATIO)
+        first = weight_at(plant, law.known_gain(plant), rate)
+        return [float(v) for v in first * parts * sizes**2]
 
     def _with(self, values: np.ndarray) -> Law:
         lqr = LqrWeights(tuple(map(float, values)))
@@ -172,7 +204,7 @@ def informed(system: System) -> System:
     return system.replace(plant=plant, law=known, settings=settings, population=population)
 
 
-def _lean(system: System) -> tuple[System, Family]:
+def _lean(system: System) -> tuple[System, PositiveGains]:
     base = backstepping_of(system)
     adaptive = isinstance(base.law, Adaptive)
     family = LeanAdaptiveFamily if adaptive else RobustFamily
@@ -180,25 +212,25 @@ def _lean(system: System) -> tuple[System, Family]:
     return base, family(base, max(base.law.feedforward, min(1, most)))
 
 
-def _paper(system: System) -> tuple[System, Family]:
+def _paper(system: System) -> tuple[System, PositiveGains]:
     base = backstepping_of(system)
     return base, PaperFamily(base, 0)
 
 
-def _classic(system: System) -> tuple[System, Family]:
+def _classic(system: System) -> tuple[System, PositiveGains]:
     base, q = backstepping_of(system), most_feedforward(system.reference, system.plant.n)
     if isinstance(base.law, Adaptive):
         return base, ClassicFamily(base, q)
     return base, RobustFamily(base, q)
 
 
-def _lqr(system: System) -> tuple[System, Family]:
+def _lqr(system: System) -> tuple[System, PositiveGains]:
     base = informed(system)
     return base, LqrFamily(base, most_feedforward(system.reference, system.plant.n))
 
 
-def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
-    def entrant(system: System) -> tuple[System, Family]:
+def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, PositiveGains]]:
+    def entrant(system: System) -> tuple[System, PositiveGains]:
         base = informed(system)
         if base.implementation is not None:  # Euler's method would be none of the law's doing
             exact = replace(base.implementation, update="exact_leak")
@@ -209,7 +241,9 @@ def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
     return entrant
 
 
-def with_input_limit(entrant: System, family: Family, peak_input: float) -> tuple[System, Family]:
+def with_input_limit(
+    entrant: System, family: PositiveGains, peak_input: float
+) -> tuple[System, PositiveGains]:
     """The entrant and its gains, with a law that plans within this limit of |u| if it can.
 
     Raises
@@ -230,7 +264,7 @@ def with_input_limit(entrant: System, family: Family, peak_input: float) -> tupl
 
 
 #: What a comparison may be asked for: system -> that with what the law knows, and its gains.
-ENTRANTS: Mapping[str, Callable[[System], tuple[System, Family]]] = {
+ENTRANTS: Mapping[str, Callable[[System], tuple[System, PositiveGains]]] = {
     "lean": _lean,
     "paper": _paper,
     "classic": _classic,
@@ -239,7 +273,7 @@ ENTRANTS: Mapping[str, Callable[[System], tuple[System, Family]]] = {
 }
 
 
-def entrant_of(system: System, name: str) -> tuple[System, Family]:
+def entrant_of(system: System, name: str) -> tuple[System, PositiveGains]:
     """The system with what the law of this name knows, and the family of its gains.
 
     Raises

@@ -10,16 +10,20 @@ from scipy.optimize import differential_evolution, minimize
 from certrack.core.errors import CertrackError
 from certrack.laws.base import Law
 from certrack.tuning.comparison.trials import LOST_SCORE, Score, SharedLimits, Trials, score
-from certrack.tuning.families import Family
+from certrack.tuning.families import PositiveGains
 
-#: Standard deviation of the first gains about those of the family's start, in logarithms.
-FIRST_SPREAD = 1.5
+#: The first gains are those of loops so many times as fast as that of the start, and about them,
+#: with this standard deviation in logarithms.
+SLOWEST_FIRST, FASTEST_FIRST, FIRST_SPREAD = 1 / 3, 10.0, 1.0
 
 #: Sets of gains in a population, over the number of gains; numbers of differential evolution.
 POPULATION_PER_GAIN, GAIN_DIFFERENCE_SCALE, GAIN_CROSSOVER = 4, (0.4, 0.9), 0.8
 
 #: The part of the evaluations that polish the best.
 POLISH_PART = 0.3
+
+#: Edges of the first simplex, in logarithms of gains.
+SIMPLEX_EDGE = 0.3
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class _Best:
     """Scores of points, and the best of them."""
 
     def __init__(
-        self, trials: Trials, family: Family, limits: SharedLimits, resting: float
+        self, trials: Trials, family: PositiveGains, limits: SharedLimits, resting: float
     ) -> None:
         self._trials, self._family, self._limits = trials, family, limits
         self._resting = resting
@@ -65,7 +69,7 @@ class _Best:
 
 def search_gains(
     trials: Trials,
-    family: Family,
+    family: PositiveGains,
     limits: SharedLimits,
     resting: float,
     budget: int,
@@ -73,13 +77,16 @@ def search_gains(
 ) -> FoundGains:
     """Gains with the smallest tail error within the limits, by about `budget` evaluations.
 
-    Every law gets the same: a population about its own start, evolved, and a simplex from the best.
+    Every law gets the same: a population of loops slower and faster than its own start, evolved,
+    and a simplex from the best.
     """
     best = _Best(trials, family, limits, resting)
     rng = np.random.default_rng(seed)
     count = len(family.start)
     size = max(6, min(POPULATION_PER_GAIN * count, budget // 3))
-    first = family.start + FIRST_SPREAD * rng.standard_normal((size, count))
+    speeds = np.exp(rng.uniform(np.log(SLOWEST_FIRST), np.log(FASTEST_FIRST), size))
+    first = np.array([family.at_speed(factor) for factor in speeds])
+    first += FIRST_SPREAD * rng.standard_normal((size, count))
     first[0] = family.start
     evolved = max(1, round((1 - POLISH_PART) * budget / size) - 1)
     differential_evolution(
@@ -99,6 +106,10 @@ def search_gains(
             best,
             best.v,
             method="Nelder-Mead",
-            options={"maxfev": max(count + 2, round(POLISH_PART * budget)), "xatol": 1e-3},
+            options={
+                "maxfev": max(count + 2, round(POLISH_PART * budget)),
+                "xatol": 1e-3,
+                "initial_simplex": best.v + SIMPLEX_EDGE * np.eye(count + 1, count, -1),
+            },
         )
     return FoundGains(best.law, best.score, best.evaluations)
