@@ -20,7 +20,7 @@ from certrack.integrators.many.native import vector_compiler
 from certrack.integrators.many.numpy_batch import NumpyBatch
 from certrack.studies.falsifier import claims
 from certrack.studies.falsifier.ascent.loop import AdversaryInputs, ControlledLoop
-from certrack.studies.falsifier.claims import OutputClaim, claim_of
+from certrack.studies.falsifier.claims import OutputClaim, output_claim
 from certrack.studies.falsifier.falsify import falsify
 from certrack.studies.falsifier.loop import AdversarialLoop
 from certrack.studies.falsifier.outputs import SoughtOutput, output_named
@@ -117,7 +117,7 @@ def test_a_state_of_a_law_that_estimates_has_no_quadratic_function_of_its_own():
 
 
 def test_the_first_state_is_bounded_by_the_error_and_the_reference():
-    claim = claim_of(EXAMPLE, output_named(EXAMPLE, "x1"), "fast", lambda *_: None)
+    claim = output_claim(EXAMPLE, output_named(EXAMPLE, "x1"), "fast", lambda *_: None)
     best = claim.methods.best
     assert claim.verified
     assert best.bound + 0.2 <= claim.bound <= best.bound + 0.2 + 1e-12  # Y_0 = 1/5
@@ -125,7 +125,7 @@ def test_the_first_state_is_bounded_by_the_error_and_the_reference():
 
 def test_of_a_contradicted_premise_nothing_is_verified():
     wild = LEAN.replace(truth=replace(LEAN.truth, omega=("0", "10", "0", "10")))
-    claim = claim_of(wild, output_named(wild, "input"), "fast", lambda *_: None)
+    claim = output_claim(wild, output_named(wild, "input"), "fast", lambda *_: None)
     assert claim.exists
     assert not claim.verified
     assert "premise" in claim.reason
@@ -237,10 +237,10 @@ def test_a_run_beyond_a_claim_is_an_alarm(monkeypatch, capfd):
     assert honest.alarm is None
 
     def wrong(*arguments):
-        claim = claim_of(*arguments)
+        claim = output_claim(*arguments)
         return replace(claim, bound=0.9 * honest.worst)
 
-    monkeypatch.setattr("certrack.studies.falsifier.any_output.claim_of", wrong)
+    monkeypatch.setattr("certrack.studies.falsifier.any_output.output_claim", wrong)
     found = falsify(LEAN, of="input", budget=100)
     assert found.alarm == "defect"
     code, out, err = invoke(capfd, "falsify", "dual-motor-lean", "--of", "input", "--budget", "100")

@@ -46,10 +46,10 @@ def certify_state(system: System, i: int) -> InputBound:
         Where the law does not know its parameters, or no proof is found.
     """
     with within_floats():
-        found = ultimate_bound(system, state_problem(system, i))
-    if found is None:
+        ultimate = ultimate_bound(system, state_problem(system, i))
+    if ultimate is None:
         raise NoCertificate("no proof was found")
-    return found
+    return ultimate
 
 
 def state_problem(system: System, i: int) -> InputProblem:

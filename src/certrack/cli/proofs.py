@@ -324,8 +324,8 @@ def falsify(
         click.echo(console.to_json(values))
     else:
         origin, loop = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
-        found = f"worst |e_1| found in {result.evaluations} runs{origin}"
-        click.echo(f"{loop}{found}: {result.worst_error:.6g}")
+        runs = f"{result.evaluations} runs{origin}"
+        click.echo(f"{loop}worst |e_1| found in {runs}: {result.worst_error:.6g}")
         click.echo(f"stopped: {result.ended}")
         click.echo(f"{loop}certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]

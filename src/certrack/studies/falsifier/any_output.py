@@ -15,7 +15,7 @@ from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
 from certrack.studies.falsifier.adversary import reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm
-from certrack.studies.falsifier.claims import OutputClaim, claim_of, output_alarm
+from certrack.studies.falsifier.claims import OutputClaim, output_alarm, output_claim
 from certrack.studies.falsifier.drive import (
     BEYOND_IMPLEMENTED,
     DriveFalsification,
@@ -81,9 +81,9 @@ class OutputFalsification:
     def __repr__(self) -> str:
         claimed = rounded_up(self.claim.bound, 4) if self.claim.exists else "nothing"
         alarm_text = "" if self.alarm is None else f", ALARM ({self.alarm})"
-        found = f"|{self.output.symbol_text}| = {self.worst:.4g}"
+        largest = f"|{self.output.symbol_text}| = {self.worst:.4g}"
         runs = f"found in {self.evaluations} runs"
-        return f"OutputFalsification({found} {runs}, claimed {claimed}{alarm_text})"
+        return f"OutputFalsification({largest} {runs}, claimed {claimed}{alarm_text})"
 
     @property
     def settling(self) -> bool:
@@ -112,7 +112,7 @@ def falsify_output(
     progress, certifying : callables
     """
     continuous = system.replace(implementation=None)
-    claim = claim_of(continuous, output, effort, certifying)
+    claim = output_claim(continuous, output, effort, certifying)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
     drive = None

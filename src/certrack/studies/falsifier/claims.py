@@ -67,7 +67,9 @@ class OutputClaim:
         return math.isfinite(self.bound)
 
 
-def claim_of(system: System, output: SoughtOutput, effort: str, progress: Progress) -> OutputClaim:
+def output_claim(
+    system: System, output: SoughtOutput, effort: str, progress: Progress
+) -> OutputClaim:
     """What is certified of an output of the continuous loop.
 
     Parameters
@@ -104,8 +106,8 @@ def _proven_claim(
     reason = ""
     claims = list[OutputClaim]()
     try:
-        found = certify_state(system, output.place)
-        claims.append(OutputClaim(found.bound, True, OF_ITS_OWN, "", found.proof))
+        of_state = certify_state(system, output.place)
+        claims.append(OutputClaim(of_state.bound, True, OF_ITS_OWN, "", of_state.proof))
     except NoCertificate as refusal:
         reason = str(refusal)
     if output.place == 0:
