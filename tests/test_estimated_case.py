@@ -8,7 +8,8 @@ import pytest
 
 import certrack
 from certrack.studies.falsifier.adversary import reference_bounds
-from certrack.studies.falsifier.falsify import KERNELS, falsify
+from certrack.studies.falsifier.falsify import falsify
+from certrack.studies.falsifier.hunt import KERNELS
 from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated, known_system
 
 ADAPTIVE = """

@@ -44,8 +44,8 @@ def random_third_order(seed):
     )
 
 
-def exact_worst_case(system, steps=STEPS):
-    """The largest e_1 at the end of a long run."""
+def exact_worst_case(system, steps=STEPS, of="error"):
+    """The largest e_1, u or state at the end of a long run."""
     c, n = system.controller.coordinates, 3
     m = c.q + 1
     Y = system.reference.bounds(m).values
@@ -62,8 +62,16 @@ def exact_worst_case(system, steps=STEPS):
     whole[: n + m] = loop
     step = expm(whole * dt)[: n + m]
     E, of_top, of_w = step[:, : n + m], step[:, n + m], step[:, n + m + 1 :]
-    row = np.zeros(n + m)
-    row[0], row[n] = 1.0, -1.0
+    row, at_once = np.zeros(n + m), 0.0
+    if of == "error":
+        row[0], row[n] = 1.0, -1.0
+    elif of == "input":
+        parts = system.plant.drift.expr.as_coefficients_dict()
+        h = [float(parts[name]) for name in system.plant.symbols]
+        row[:n], row[n:] = (c.nu_x - h) / 2, c.nu_Y[:m] / 2  # g_n = 2
+        at_once = abs(c.nu_Y[m]) / 2 * Y[m]
+    else:
+        row[system.plant.states.index(of)] = 1.0
     tops, by_w = np.zeros(steps), 0.0
     for k in range(steps - 1, -1, -1):
         tops[k] = row @ of_top
@@ -85,7 +93,7 @@ def exact_worst_case(system, steps=STEPS):
         method="highs",
     )
     assert solved.x is not None, solved.message
-    return by_w - solved.fun
+    return by_w - solved.fun + at_once
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -33,8 +33,8 @@ from certrack.studies.falsifier.linear.search import (
     continuous_case,
     linear_error_loop,
     sampled_case,
-    tail_error,
 )
+from certrack.studies.falsifier.outputs import tail_error
 
 LEAN, DRIVE = certrack.load("dual-motor-lean"), certrack.load("dual-motor-drive")
 

@@ -52,7 +52,7 @@ MAX_PROGRAM_STARTS = 64
 
 @dataclass(frozen=True)
 class InputBound:
-    """One bound on the input, and the numbers that prove it.
+    """One bound on the input, or on a state, and the numbers that prove it.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def certify_input(system: System, box: Sequence[tuple[float, float]] | None = No
             bounds = InputBounds(
                 *_energies(system, exact, starts, duration),
                 peak=_peak(system, exact, starts),
-                ultimate=_peak(system, exact, ()),
+                ultimate=ultimate_bound(system, exact),
                 box=pairs,
             )
             return replace(bounds, missing=_missing(bounds, exact))
@@ -198,6 +198,22 @@ def _proven_bound(proof: Proof, square: Any) -> InputBound:
     """The root of a rational, rounded up, with the proof of it."""
     text = root_up(square)
     return InputBound(float_up(from_text(text)), replace(proof, bound=text))
+
+
+def ultimate_bound(system: System, exact: InputProblem) -> InputBound | None:
+    """The bound in the long run of a row that stands beside the error system.
+
+    Parameters
+    ----------
+    system : System
+    exact : InputProblem
+        Of the input, or of another row.
+
+    Returns
+    -------
+    InputBound, or None where no proof is found.
+    """
+    return _peak(system, exact, ())
 
 
 def _peak(system: System, exact: InputProblem, starts: Sequence[Start]) -> InputBound | None:

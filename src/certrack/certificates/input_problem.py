@@ -9,6 +9,7 @@ with |y_i| <= 1, i = 0 ... q + 1, and x = A^-1 (e + B Y).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +20,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.core.once import once
+from certrack.laws.backstepping import ErrorCoordinates
 from certrack.model.linear_drift import linear_parts, total_drift
 from certrack.references.base import bound_of
 from certrack.systems.system import System
@@ -84,13 +86,20 @@ def input_problem(system: System) -> InputProblem:
     h_0, g_n = rational(parts[1]), rational(plant.input_gain)
     design = error_coordinates(system, rational)
     Y = [exact_float(bound_of(system.reference, i)[0], rational) for i in range(design.q + 2)]
-    slopes, n = (design.nu_x - h_x) / g_n, exact.n
-    through = exact.Xe @ design.B
+    slopes = (design.nu_x - h_x) / g_n
     coefficients = design.nu_Y / g_n
-    coefficients[:-1] = coefficients[:-1] + slopes @ through
-    Uy, Xy = (np.zeros((n, len(Y)), dtype=object) + rational(0) for _ in range(2))
+    coefficients[:-1] = coefficients[:-1] + slopes @ (exact.Xe @ design.B)
+    problem = with_all_derivatives(exact, design, Y)
+    return InputProblem(problem, slopes @ exact.Xe, coefficients * np.array(Y), -h_0 / g_n)
+
+
+def with_all_derivatives(
+    exact: ErrorProblem, design: ErrorCoordinates, Y: Sequence[Any]
+) -> ErrorProblem:
+    """The error system with all y_0 ... y_{q+1}, of these bounds, among its inputs."""
+    through = exact.Xe @ design.B
+    Uy, Xy = (np.zeros((exact.n, len(Y)), dtype=object) + rational(0) for _ in range(2))
     for i in range(design.q + 1):
         Xy[:, i] = through[:, i] * Y[i]
     Uy[:, -1] = -design.R * Y[-1]
-    problem = replace(exact, Uy=Uy, Xy=Xy, derivatives=tuple(range(len(Y)))).read_only()
-    return InputProblem(problem, slopes @ exact.Xe, coefficients * np.array(Y), -h_0 / g_n)
+    return replace(exact, Uy=Uy, Xy=Xy, derivatives=tuple(range(len(Y)))).read_only()

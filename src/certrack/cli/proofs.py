@@ -16,6 +16,7 @@ from certrack.cli.base import (
     note_engine,
     note_implementation,
 )
+from certrack.cli.outputs import search_output
 from certrack.cli.pictures import picture_options
 from certrack.cli.premises import note_contradictions, say_contradicted
 from certrack.cli.starts import search_starts
@@ -213,6 +214,14 @@ def verify(certificate: Path, as_json: bool) -> None:
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, help="System file (TOML) for the worst case.")
 @click.option(
+    "--of",
+    "of",
+    metavar="error|input|NAME",
+    default="error",
+    show_default=True,
+    help="What is to become large: the error, the input, a state or an estimate by its name.",
+)
+@click.option(
     "--budget",
     type=click.IntRange(100),
     default=6000,
@@ -236,6 +245,7 @@ def verify(certificate: Path, as_json: bool) -> None:
 def falsify(
     file: str,
     out: Path | None,
+    of: str,
     budget: int,
     seed: int,
     starts: bool,
@@ -254,6 +264,9 @@ def falsify(
     tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
     is broken, or certrack is wrong. The paper's bound, whose proof has a gap, may be exceeded.
 
+    With --of the input, a state (x2) or an estimate (theta_hat_1) is made large instead, and held
+    against the bound that is certified of it, where there is one.
+
     With --starts the loop of the file, as implemented where it has [implementation], begins at
     corners of the box, at random places and around the worst of them, under the file's own
     disturbances and under ones at their bounds: is there a start that it does not bring back? The
@@ -261,16 +274,23 @@ def falsify(
 
     \b
     Example: certrack falsify example1 --out worst.toml
+             certrack falsify dual-motor-lean --of input
              certrack falsify dual-motor-drag --starts --box=-12:12,-12:12,-12:12,-12:12
     """
     if box is not None and not starts:
         raise InputError("--box", "is of the starts that --starts searches", box, "Add --starts")
+    if starts and of != "error":
+        raise InputError("--of", "is of the worst case, not of lost starts", of, "Omit --starts")
     if starts:
         search_starts(file, out, budget, seed, box, as_json=as_json)
+        return
+    if of != "error":
+        search_output(file, of, out, budget, seed, as_json=as_json)
         return
     from certrack.cli import console
     from certrack.core.rounding import printed_bound
     from certrack.reports import falsification as falsified
+    from certrack.reports.worst_outputs import ORIGIN_WORDS
     from certrack.studies.falsifier.falsify import falsify as search
     from certrack.systems.reader import load
     from certrack.systems.writer import save
@@ -303,11 +323,11 @@ def falsify(
     if as_json:
         click.echo(console.to_json(values))
     else:
-        origin, of = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
-        click.echo(
-            f"{of}worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
-        )
-        click.echo(f"{of}certified limsup |e_1|: {printed_bound(values['certified'])}")
+        origin, loop = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
+        runs = f"{result.evaluations} runs{origin}"
+        click.echo(f"{loop}worst |e_1| found in {runs}: {result.worst_error:.6g}")
+        click.echo(f"stopped: {result.ended}")
+        click.echo(f"{loop}certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         console.print_table(falsified.falsification_table(values["certificates"]))
@@ -333,14 +353,6 @@ def falsify(
         )
         raise click.exceptions.Exit(1)
 
-
-#: Where the worst case comes from, in words.
-ORIGIN_WORDS = {
-    "search": "",
-    "own": ", the file's own",
-    "kernels": ", by kernels and a linear program",
-    "ascent": ", by an ascent from the worst of them",
-}
 
 #: What the user is told where the worst run has not reached its long run.
 STILL_SETTLING = (

@@ -103,7 +103,10 @@ class ControlledRuns:
     def run_back(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array
     ) -> tuple[Array, InputSlopes]:
-        """The states, and the slopes of ``output`` (S,) times the states at the end."""
+        """The states, and the slopes of ``output`` (S, N) times the states at the end.
+
+        Weights (S,) are those of every member.
+        """
         states, slopes = self._integrate(widths, starts, controls, parameters, output)
         assert slopes is not None
         return states, slopes
@@ -122,7 +125,8 @@ class ControlledRuns:
         for first in range(0, count, LANES):
             lanes = filled[first : first + LANES]
             arguments = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
-            parts.append(self._lanes(widths, *arguments, output))
+            weights = None if output is None else _of_members(output, count)[:, lanes]
+            parts.append(self._lanes(widths, *arguments, weights))
         parts_joined = [
             np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)
         ]
@@ -139,12 +143,18 @@ class ControlledRuns:
         slopes, back = list[Array](), list[Array]()
         if output is not None:
             slopes = [np.empty(a.shape) for a in inputs[1:]]
-            back = [np.repeat(np.asarray(output, dtype=float)[:, None], LANES, axis=1)]
+            back = [np.ascontiguousarray(output)]
         places = [a.ctypes.data for a in (*inputs, states, *back, *slopes)]
         task = _Task(steps, *places)  # the rest is NULL
         assert self._library is not None
         self._library.integrate(ctypes.byref(task))
         return states, *slopes
+
+
+def _of_members(output: Array, count: int) -> Array:
+    """Weights (S, N) from those of every member, or from (S, N)."""
+    weights = np.asarray(output, dtype=float)
+    return weights if weights.ndim == 2 else np.repeat(weights[:, None], count, axis=1)
 
 
 class _Task(ctypes.Structure):
@@ -226,7 +236,7 @@ class _NumpyRuns:
         self, widths: Array, states: Array, controls: Array, p: Array, output: Array
     ) -> InputSlopes:
         count = states.shape[2]
-        costate = np.repeat(np.asarray(output, dtype=float)[:, None], count, axis=1)
+        costate = _of_members(output, count)
         by_controls, by_parameters = np.zeros(controls.shape), np.zeros(p.shape)
         ends = np.cumsum(self._sizes)[:-1]
         with np.errstate(all="ignore"):

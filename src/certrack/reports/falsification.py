@@ -34,6 +34,7 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
         "alarm_reason": result.reason or None,
         "own_run": result.own_run,
         "origin": result.origin,
+        "search_ended": result.ended,
         "stopped": result.stopped,
         "settling": settling,
         "drive": None if result.drive is None else _of_drive(result.drive),

@@ -77,6 +77,20 @@ def alarm(
     """
     if not _beyond(system, case, run, against, stages):
         return None
+    return why_beyond(system, case, run)
+
+
+def why_beyond(system: System, case: System, run: Run) -> Alarm:
+    """The alarm of a run that is beyond what is proven: which premise is broken, or none.
+
+    Parameters
+    ----------
+    system : System
+        The certified one.
+    case : System
+        What was run.
+    run : Run
+    """
     file_omega = case.truth.omega == system.truth.omega
     for premise in contradicted(premises(system)):
         if file_omega or not premise.name.startswith("w_"):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from certrack.certificates import Certificate
-from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.certify import ImplementedCertificate, certify_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.premise import Premise, contradicted
@@ -16,6 +16,7 @@ from certrack.integrators.base import Outcome
 from certrack.simulation.run import Run
 from certrack.studies.falsifier.escape import Escape, first_escape
 from certrack.studies.falsifier.linear.search import sampled_case
+from certrack.studies.falsifier.outputs import ERROR, INPUT_NAME, SoughtOutput
 from certrack.systems.system import System
 
 
@@ -26,7 +27,8 @@ class DriveFalsification:
     Attributes
     ----------
     worst_error : float
-        Largest |e_1| of its last part, by the ordinary sampled simulation; inf if it escapes.
+        Largest |e_1|, or output that is sought, of its last part, by the ordinary sampled
+        simulation; inf if it escapes.
     estimate : float or None
         The same by the linear loop, where the sensors' rounding is the worst error of half a step;
         None where the loop is not linear.
@@ -72,22 +74,38 @@ BEYOND_IMPLEMENTED = (
 
 
 def attacked_by_kernels(
-    system: System, bounds: tuple[float, ...], effort: str, certifying: Progress
+    system: System,
+    bounds: tuple[float, ...],
+    effort: str,
+    certifying: Progress,
+    output: SoughtOutput = ERROR,
 ) -> DriveFalsification:
     """The worst case of the linear loop as it is implemented, and its certificate.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation.
+    bounds : Y_0 ... Y_{q+1}
+    effort : {"fast", "default", "high"}
+    certifying : callable
+        Of the certificate.
+    output : SoughtOutput
+        What is made large; the certificate's bound is then of that.
 
     Raises
     ------
     NothingTried
         Where the loop is not linear or not stable, or nothing is found.
     """
-    case = sampled_case(system, bounds)
+    case = sampled_case(system, bounds, output)
     implemented, proofs = certify_implemented(system, effort=effort, progress=certifying)
     known = premises_as_implemented(system, proofs) if proofs else premises(system)
-    certificate = unless_contradicted(implemented, contradicted(known))
+    certificate = _about(unless_contradicted(implemented, contradicted(known)), output)
     run, escape, limited = case.run, None, may_be_limited(system, case.run)
     if is_regional(system):
-        escape = first_escape(system, bounds, implemented.polytope)
+        if output == ERROR:
+            escape = first_escape(system, bounds, implemented.polytope)
         within = (
             implemented.polytope is not None and case.system.settings.x0 in implemented.polytope
         )
@@ -95,6 +113,16 @@ def attacked_by_kernels(
     return DriveFalsification(
         case.error, case.estimate, case.system, ending_of(run), certificate, limited, escape
     )
+
+
+def _about(certificate: Certificate, output: SoughtOutput) -> Certificate:
+    """The certificate with the bound that it has of an output."""
+    if output == ERROR or not certificate.exists:
+        return certificate
+    assert isinstance(certificate, ImplementedCertificate)
+    if output.kind == INPUT_NAME:
+        return replace(certificate, bound=certificate.peak_input)
+    return replace(certificate, bound=certificate.states[output.place])
 
 
 def unless_contradicted(certificate: Certificate, broken: Sequence[Premise]) -> Certificate:

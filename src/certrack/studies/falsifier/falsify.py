@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal, overload
 
 from certrack.certificates import Certificate
 from certrack.certificates.certify import EFFORTS
@@ -22,30 +23,23 @@ from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.kinks import JUMPING
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
-from certrack.simulation.run import Run
-from certrack.simulation.simulator import simulate
-from certrack.studies.falsifier.adversary import Adversary, reference_bounds
+from certrack.studies.falsifier.adversary import reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
-from certrack.studies.falsifier.ascent.search import ascend
+from certrack.studies.falsifier.any_output import OutputFalsification, falsify_output
 from certrack.studies.falsifier.drive import (
     BEYOND_IMPLEMENTED,
     DriveFalsification,
     attacked_by_kernels,
     ending_of,
 )
-from certrack.studies.falsifier.evolution import Search
-from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
+from certrack.studies.falsifier.hunt import OWN, hunt
 from certrack.studies.falsifier.linear.search import (
-    LinearCase,
     NothingTried,
-    continuous_case,
-    tail_error,
 )
-from certrack.studies.falsifier.loop import AdversarialLoop
+from certrack.studies.falsifier.outputs import ERROR, output_named, tail_error
 from certrack.studies.falsifier.sampled_search import (
     attack_as_implemented,
     guarantee_as_sampled,
@@ -54,10 +48,6 @@ from certrack.systems.system import System, require_system
 
 #: Runs of a search that is asked for by mistake would take years.
 MAX_BUDGET = 10**9
-
-
-#: Where a worst case comes from.
-SEARCH, OWN, KERNELS, ASCENT = "search", "own", "kernels", "ascent"
 
 
 @dataclass(frozen=True)
@@ -90,6 +80,8 @@ class Falsification:
         How the worst run ended, where it did not reach its end.
     drive : DriveFalsification or None
         The worst case of the loop as the file's implementation carries it out, where it is linear.
+    ended : str
+        Why the search stopped.
     left_out : mapping of str to str
         Why the kernels of the continuous loop (``"kernels"``), those of the implemented one
         (``"drive"``) or the ascent (``"ascent"``) were not tried.
@@ -106,6 +98,7 @@ class Falsification:
     origin: str = "search"
     stopped: str | None = None
     drive: DriveFalsification | None = None
+    ended: str = ""
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -115,15 +108,42 @@ class Falsification:
         return f"Falsification(|e_1| = {self.worst_error:.4g} {runs}, proven {proven}{alarm_text})"
 
 
+@overload
 def falsify(
     system: System,
     *,
+    of: Literal["error"] = "error",
     budget: int = 6000,
     seed: int = 0,
     effort: str = "default",
     progress: Progress = silent,
     certifying: Progress = silent,
-) -> Falsification:
+) -> Falsification: ...
+
+
+@overload
+def falsify(
+    system: System,
+    *,
+    of: str,
+    budget: int = 6000,
+    seed: int = 0,
+    effort: str = "default",
+    progress: Progress = silent,
+    certifying: Progress = silent,
+) -> Falsification | OutputFalsification: ...
+
+
+def falsify(
+    system: System,
+    *,
+    of: str = "error",
+    budget: int = 6000,
+    seed: int = 0,
+    effort: str = "default",
+    progress: Progress = silent,
+    certifying: Progress = silent,
+) -> Falsification | OutputFalsification:
     """Search the worst admissible case of `system`; its own run is always a candidate.
 
     Parameters
@@ -131,6 +151,9 @@ def falsify(
     system : System
         Its law, ranges and uncertainty; disturbance and reference are replaced. The search is of
         the continuous loop; a linear one that has an implementation is attacked as such, too.
+    of : str
+        What is to become large: ``"error"``, ``"input"``, or the name of a state of the plant or of
+        an estimate, such as ``"x2"`` and ``"theta_hat_1"``.
     budget : int
         Number of runs.
     seed : int
@@ -146,12 +169,13 @@ def falsify(
     Returns
     -------
     Falsification
+        Of the error; an OutputFalsification of anything else.
 
     Raises
     ------
     InputError
-        If a bound of the reference cannot be proven, the truth has states of its
-        own, or a name of the plant is one of the search's own.
+        If there is no output of this name, a bound of the reference cannot be proven, the truth has
+        states of its own, or a name of the plant is one of the search's own.
 
     Examples
     --------
@@ -159,11 +183,15 @@ def falsify(
     >>> result = certrack.falsify(certrack.load("dual-motor-lean"), budget=200)
     >>> bool(result.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
     True
+    >>> result = certrack.falsify(certrack.load("dual-motor-lean"), of="input", budget=200)
+    >>> bool(result.worst <= result.claim.bound)
+    True
     """
     require_system(system)
     checks.integer("budget", budget, 1, MAX_BUDGET)
     checks.integer("seed", seed, 0, 2**63 - 1)
     checks.choice("effort", effort, EFFORTS)
+    output = output_named(system, of)
     if system.truth.states:
         raise InputError(
             "truth.states",
@@ -171,11 +199,13 @@ def falsify(
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
     system = system.long_run  # a soft start has vanished where the worst error is sought
+    if output != ERROR:
+        return falsify_output(system, output, budget, seed, effort, progress, certifying)
     steps = METHOD_STEPS + (system.implementation is not None)
     methods = every_certificate(system, effort, lambda k, _, bound: certifying(k, steps, bound))
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
-    drive = linear = guarantee = None
+    drive = guarantee = None
 
     def certifying_drive(_: float, __: float | None, bound: float | None, /) -> None:
         certifying(METHOD_STEPS, steps, bound)
@@ -189,37 +219,13 @@ def falsify(
                 guarantee = guarantee_as_sampled(system, methods, effort, certifying_drive)
     progress(0, budget, None)
     implemented, system = system, system.replace(implementation=None)
-    try:
-        case = estimated_case if is_estimated(system) else continuous_case
-        linear = case(system, bounds)
-    except NothingTried as refusal:
-        left_out[KERNELS] = str(refusal)
-    cases, evaluations = {OWN: system}, 0
-    search = _search(_worst_member(system, linear), linear, budget, progress)
-    if search is not None:
-        evolved = search.evolve(budget, seed)
-        candidates = (evolved, search.polish(evolved, budget))
-        best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
-        cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
-    runs: dict[str, Run] = {}
-    for origin, written in cases.items():  # each may take seconds, where it sticks
-        progress(evaluations, budget, max(map(tail_error, runs.values()), default=None))
-        runs[origin] = simulate(written)
-    if linear is not None:
-        cases[KERNELS], runs[KERNELS] = linear.system, linear.run
-    if linear is None or is_estimated(system):
-        try:
-            earlier = [(case, runs[origin]) for origin, case in cases.items()]
-            ascent = ascend(system, bounds, earlier, budget, seed, progress)
-            evaluations += ascent.runs
-            cases[ASCENT], runs[ASCENT] = ascent.case.system, ascent.case.run
-        except NothingTried as refusal:
-            left_out[ASCENT] = str(refusal)
+    hunted = hunt(system, bounds, budget, seed, progress)
+    cases, runs = hunted.cases, hunted.runs
+    left_out |= hunted.left_out
     if guarantee is not None:
-        seeded = None if search is None else (search.loop, best)
         try:
             drive = attack_as_implemented(
-                implemented, guarantee, cases, seeded, budget, seed, progress
+                implemented, guarantee, cases, hunted.seeded, budget, seed, progress
             )
             del left_out["drive"]
         except NothingTried as refusal:
@@ -238,7 +244,7 @@ def falsify(
     return Falsification(
         errors[worst],
         cases[worst],
-        evaluations + 1,
+        hunted.evaluations + 1,
         _of_this_file(system, methods),
         against,
         None if raised is None else raised.kind,
@@ -247,41 +253,9 @@ def falsify(
         origin=worst,
         stopped=ending_of(runs[worst]),
         drive=drive,
+        ended=hunted.ended,
         left_out=left_out,
     )
-
-
-def _search(
-    system: System, linear: LinearCase | None, budget: int, progress: Progress
-) -> Search | None:
-    """The search; None for a plant or law that is not smooth, where something else is tried.
-
-    That is the linear case, or the ascent, which follows the adaptive law across kinks.
-    """
-    Adversary.against(system)  # refuses names of the user
-    try:
-        return Search(AdversarialLoop(system, budget), budget, progress)
-    except InputError:
-        if linear is None and not _has_kinks_only(system):
-            raise
-        return None
-
-
-def _has_kinks_only(system: System) -> bool:
-    """Whether the loop is that of the adaptive law, and nothing of it jumps."""
-    formulas = (system.plant.drift, *system.plant.regressor)
-    jumps = any(formula.expr.has(*JUMPING) for formula in formulas)
-    return isinstance(system.law, Adaptive) and not jumps
-
-
-def _worst_member(system: System, linear: LinearCase | None) -> System:
-    """The system, with its constants where the linear loop is worst."""
-    if linear is None:
-        return system
-    member = linear.system.truth
-    constants, theta = member.constants, member.theta
-    truth = replace(system.truth, constants=constants, theta=theta, input_gain=member.input_gain)
-    return system.replace(truth=truth)
 
 
 def _of_this_file(system: System, methods: Methods) -> dict[str, Certificate]:

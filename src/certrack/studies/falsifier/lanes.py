@@ -36,6 +36,8 @@ class AdversaryLanes:
         The parameters that differ between members.
     max_state : float
         A plant state beyond it has escaped.
+    signal : formula, optional
+        Whose largest magnitude is sought; e_1 if left out.
 
     Raises
     ------
@@ -49,6 +51,7 @@ class AdversaryLanes:
         values: Array,
         varying: Collection[sympy.Symbol],
         max_state: float,
+        signal: sympy.Expr | None = None,
     ) -> None:
         if loop.pieces or extract_switches(loop.rates)[1]:
             raise MethodUnavailable("the loop is not smooth")
@@ -58,17 +61,18 @@ class AdversaryLanes:
             for name, value in zip(loop.parameters, values, strict=True)
             if name not in varying
         }
-        *rates, e_1 = (f.xreplace(fixed) for f in (*loop.rates[: len(states)], loop.e_1))
-        slope = along(e_1, dict(zip(states, rates, strict=True)))
+        signal = loop.e_1 if signal is None else signal
+        *rates, signal = (f.xreplace(fixed) for f in (*loop.rates[: len(states)], signal))
+        slope = along(signal, dict(zip(states, rates, strict=True)))
         parameters = tuple(name for name in loop.parameters if name in varying)
         self._rows = [loop.parameters.index(name) for name in parameters]
-        flow = PeakFlow(states, tuple(rates), parameters, e_1, slope, loop.n)
+        flow = PeakFlow(states, tuple(rates), parameters, signal, slope, loop.n)
         self._largest = LargestErrors(flow, STEP_TOLERANCE, max_state, MAX_STEPS)
 
     def tail_errors(
         self, starts: Array, parameters: Array, begin: float, end: float
     ) -> tuple[Array, Array]:
-        """Largest |e_1| of every member from `begin` to `end`, and how it ended.
+        """Largest magnitude of every member from `begin` to `end`, and how it ended.
 
         Parameters
         ----------

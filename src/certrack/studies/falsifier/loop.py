@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from certrack.core.expressions import TIME
+from certrack.core.lowering import NumpyFunction, numpy_callable
 from certrack.integrators.base import MemberOutcome, MethodUnavailable
 from certrack.integrators.many.numpy_batch import NumpyBatch
 from certrack.integrators.many.taylor_batch import TaylorBatch
@@ -15,6 +17,7 @@ from certrack.loops.continuous import close_loop
 from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.studies.falsifier.lanes import WORTH_LANES, AdversaryLanes
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.studies.falsifier.side_by_side import batch_of
 from certrack.systems.system import System
 
@@ -50,13 +53,15 @@ class AdversarialLoop:
         Without an implementation.
     runs : int
         How many are expected.
+    output : SoughtOutput
+        What is made large.
 
     Attributes
     ----------
     adversary : Adversary
     """
 
-    def __init__(self, system: System, runs: int = 1) -> None:
+    def __init__(self, system: System, runs: int = 1, output: SoughtOutput = ERROR) -> None:
         self.adversary = Adversary.against(system)
         slowest = slowest_time_constant(system)
         transient = min(MAX_TRANSIENT, TRANSIENT_TIME_CONSTANTS * slowest)
@@ -70,6 +75,7 @@ class AdversarialLoop:
         middle = np.array([v.middle for v in self.adversary.variables])
         self._template = self._with(middle, named=True)
         self._loop = close_loop(self._template)
+        self._output, self._signal = output, output.formula(self._loop)
         self._tail = (transient, duration)
         self._lanes = None if runs < WORTH_LANES else self._compiled(middle)
         if self._lanes is None:
@@ -83,7 +89,9 @@ class AdversarialLoop:
         """The loop in C; None where that cannot be."""
         table, max_state = self._table(point[:, None]), self._settings.max_state
         try:
-            return AdversaryLanes(self._loop, table.values[:, 0], table.written, max_state)
+            return AdversaryLanes(
+                self._loop, table.values[:, 0], table.written, max_state, self._signal
+            )
         except MethodUnavailable:
             return None
 
@@ -109,7 +117,7 @@ class AdversarialLoop:
         return draft.finish(self._settings)
 
     def errors(self, points: np.ndarray) -> np.ndarray:
-        """Largest |e_1| after the transient of every member; points (G, N)."""
+        """Largest |e_1|, or output, after the transient of every member; points (G, N)."""
         parameters = self._table(points).values
         count = points.shape[1]
         if self._lanes is None:
@@ -130,14 +138,30 @@ class AdversarialLoop:
         worst = np.zeros(count)
 
         def observe(states: np.ndarray, escaped: np.ndarray, members: slice) -> None:
-            y_d = shape.reference(waves[:, members], self._times[1:])
-            error = np.abs(states[1:, 0] - y_d)
-            seen = np.nan_to_num(error, nan=0.0).max(axis=0)  # a run cut short shows what it has
+            if self._output == ERROR:
+                y_d = shape.reference(waves[:, members], self._times[1:])
+                output = states[1:, 0] - y_d
+            else:
+                output = self._outputs(states[1:], parameters[:, members])
+            # a run cut short shows what it has
+            seen = np.nan_to_num(np.abs(output), nan=0.0).max(axis=0)
             worst[members] = np.where(escaped, ESCAPE_SCORE, seen)
 
         starts = np.repeat(start[:, None], count, axis=1)
         self._integrator.over_time(starts, parameters, self._times, observe)
         return worst
+
+    def _outputs(self, states: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """The output (T, N) along states (T, S, N)."""
+        times, count = self._times[1:, None], states.shape[2]
+        with np.errstate(all="ignore"):
+            (output,) = self._formula(times, list(states.swapaxes(0, 1)), list(parameters))
+        return np.broadcast_to(output, (len(times), count))
+
+    @cached_property
+    def _formula(self) -> NumpyFunction:
+        arguments = [TIME, self._loop.states, self._loop.parameters]
+        return numpy_callable(arguments, [self._signal])
 
 
 def slowest_time_constant(system: System) -> float:

@@ -38,8 +38,9 @@ from certrack.studies.falsifier.drive import (
     unless_contradicted,
 )
 from certrack.studies.falsifier.linear.sampled import noise_bounds
-from certrack.studies.falsifier.linear.search import NothingTried, tail_error
+from certrack.studies.falsifier.linear.search import NothingTried
 from certrack.studies.falsifier.loop import AdversarialLoop
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.systems.system import System
 
 #: Runs of the continuous search for each one of the sampled loop, which takes a thousand times as
@@ -99,6 +100,7 @@ def attack_as_implemented(
     budget: int,
     seed: int,
     progress: Progress,
+    output: SoughtOutput = ERROR,
 ) -> DriveFalsification:
     """The worst case found of the adaptive law as implemented.
 
@@ -115,6 +117,8 @@ def attack_as_implemented(
         Of the continuous search.
     progress : callable
         Gets the budget, twice, and the worst error so far.
+    output : SoughtOutput
+        What is made large.
 
     Raises
     ------
@@ -124,7 +128,9 @@ def attack_as_implemented(
     drive = system.implementation
     assert drive is not None
     sensors = _worst_sensor_errors(drive, system.plant.n)
-    search = _SampledSearch(system, guarantee.proof, lambda worst: progress(budget, budget, worst))
+    search = _SampledSearch(
+        system, guarantee.proof, lambda worst: progress(budget, budget, worst), output
+    )
     for case in cases.values():
         search.replay(case.replace(implementation=errors) for errors in sensors)
         if not search.turns_as_proven(case):
@@ -151,10 +157,14 @@ class _SampledSearch:
     """Sampled runs, and the worst of them: of those that the proof covers, if there are any."""
 
     def __init__(
-        self, system: System, proof: SampledAdaptiveProof | None, tell: Callable[[float], None]
+        self,
+        system: System,
+        proof: SampledAdaptiveProof | None,
+        tell: Callable[[float], None],
+        output: SoughtOutput = ERROR,
     ) -> None:
         self.runs, self.best = 0, cast("tuple[System, Run, float] | None", None)
-        self._system, self._proof, self._tell = system, proof, tell
+        self._system, self._proof, self._tell, self._output = system, proof, tell, output
         self._best_covered = False
         priors = () if proof is None else proof.invariant.priors
         self._estimates = tuple((float(low) + float(high)) / 2 for low, high in priors)
@@ -216,7 +226,7 @@ class _SampledSearch:
             other = first or rng.random() < OTHER_SENSORS
             k = i if first else int(rng.integers(len(sensors))) if other else chosen
             place = np.clip(at + moved * (high - low), low, high)
-            error = tail_error(simulators[k].run(named(place, sensors[k])))
+            error = self._output.tail(simulators[k].run(named(place, sensors[k])))
             self.runs += 1
             better = error > worst
             if better:
@@ -229,7 +239,7 @@ class _SampledSearch:
 
     def _compare(self, case: System, run: Run) -> None:
         self.runs += 1
-        error, covered = tail_error(run), self.covered(case)
+        error, covered = self._output.tail(run), self.covered(case)
         if self.best is None or (covered, error) > (self._best_covered, self.best[2]):
             self.best, self._best_covered = (case, run, error), covered
         self._tell(self.best[2])

@@ -1,7 +1,7 @@
 """The inputs of a controlled loop, made worse turn by turn.
 
-The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves
-what is admissible:
+The adjoint gives the slopes of e_1 at the end, or of another output that is sought. Two kinds of
+step take turns, and neither leaves what is admissible:
 
 * shares and constants go along their slopes, and stop at the ends of their ranges: a long step is a
   pattern of signs, and corners;
@@ -50,14 +50,17 @@ class Climb:
     Attributes
     ----------
     errors : (N,) array
-        e_1 times the sense.
+        e_1, or what else is sought, times the sense.
     runs : int
         Runs spent, there and back.
+    last_gain : float
+        By what part the last turn made the largest error larger.
     """
 
     def __init__(self, loop: ControlledLoop, inputs: AdversaryInputs, senses: Array) -> None:
         self.loop, self.inputs, self.senses, self.runs = loop, inputs, senses, 0
         self.errors, self.slopes = self._at(inputs)
+        self.last_gain = 0.0
         self._step = np.full(inputs.count, BEGINNING_STEP)
         self._part = np.ones(inputs.count)
         self._goals: AdversaryInputs | None = None
@@ -79,6 +82,7 @@ class Climb:
 
     def turn(self) -> None:
         """A step of shares and constants, and one of the reference."""
+        before = float(self.errors.max())
         good = self._try(self._along(self._step))
         self._step = np.clip(
             self._step * np.where(good, BETTER_FACTOR, WORSE_FACTOR), TINIEST_STEP, FULL_STEP
@@ -86,6 +90,7 @@ class Climb:
         good = self._try(self._to_reference(self.inputs, self._part))
         part = np.where(good, np.minimum(1.0, 2 * self._part), self._part / 2)
         self._part = np.maximum(LEAST_WAY, part)
+        self.last_gain = float(self.errors.max()) / before - 1 if before > 0 else 0.0
 
     def _try(self, inputs: AdversaryInputs) -> Array:
         """Take what is better."""

@@ -8,7 +8,7 @@ theta_i with ranges.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,8 +19,10 @@ from certrack.core.arrays import Array
 from certrack.core.expressions import symbol
 from certrack.integrators.controlled import ControlledFlow, ControlledRuns
 from certrack.loops.continuous import close_loop, driven_loop, parameter_values
+from certrack.studies.falsifier.ascent.at_end import SoughtAtEnd
 from certrack.studies.falsifier.draft import SystemDraft
 from certrack.studies.falsifier.loop import slowest_time_constant
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.studies.falsifier.patterns import ADVERSARY_PREFIX
 from certrack.systems.system import System
 
@@ -109,6 +111,8 @@ class ControlledLoop:
     bounds : Y_0 ... Y_m
     finer : int
         So many times as many steps as usual.
+    sought : SoughtOutput
+        What is to be made large.
 
     Attributes
     ----------
@@ -121,8 +125,14 @@ class ControlledLoop:
         How many steps each piece of the reference lasts.
     """
 
-    def __init__(self, system: System, bounds: tuple[float, ...], finer: int = 1) -> None:
-        self.system, self.bounds = system, np.array(bounds)
+    def __init__(
+        self,
+        system: System,
+        bounds: tuple[float, ...],
+        finer: int = 1,
+        sought: SoughtOutput = ERROR,
+    ) -> None:
+        self.system, self.bounds, self.sought = system, np.array(bounds), sought
         plant, u = system.plant, system.plant.uncertainty
         self.acting = tuple(k for k in range(plant.n) if u.tau[k] > 0 and u.acts(k))
         self.held = tuple(u.slowness(k) is not None for k in self.acting)
@@ -146,6 +156,10 @@ class ControlledLoop:
         step = CONTROL_STEP_PART / float(np.abs(poles).max())
         count = min(MOST_CONTROL_STEPS, int(np.ceil(horizon / step)))
         return count, step
+
+    def with_steps(self, finer: int) -> ControlledLoop:
+        """The same with so many times as many steps as usual."""
+        return ControlledLoop(self.system, tuple(self.bounds.tolist()), finer, self.sought)
 
     @property
     def horizon(self) -> float:
@@ -175,9 +189,14 @@ class ControlledLoop:
             return repr(u.beta[k])
         return u.bound_formula(k, self.system.plant.states, SHARE_NORM_OFFSET)
 
-    @cached_property
+    @property
     def runs(self) -> ControlledRuns:
         """The loop, compiled."""
+        return self._formulas[0]
+
+    @cached_property
+    def _formulas(self) -> tuple[ControlledRuns, SoughtAtEnd]:
+        """The loop, compiled, and what is sought of its states, controls and parameters."""
         m, draft = len(self.bounds) - 1, SystemDraft(self.system)
         for k in self.acting:
             name = f"{ADVERSARY_PREFIX}s{k}"
@@ -187,7 +206,7 @@ class ControlledLoop:
         loop = close_loop(template)
         Y = tuple(sympy.Symbol(f"reference_{i}", real=True) for i in range(m + 1))
         known = len(template.controller.signals.Y)
-        _, _, rates = driven_loop(template, loop.plant, Y[:known])
+        u, e_1, rates = driven_loop(template, loop.plant, Y[:known])
         constants = list(template.plant.constant_values)
         shares = [
             symbol(f"true_constants_{constants.index(f'{ADVERSARY_PREFIX}s{k}')}")
@@ -201,7 +220,9 @@ class ControlledLoop:
         }
         formulas = (*(rate.xreplace(fixed) for rate in rates), *Y[1:])
         states = (*loop.states[: len(rates)], *Y[:m])
-        return ControlledRuns(ControlledFlow(states, (*shares, Y[m]), tuple(free), formulas))
+        flow = ControlledFlow(states, (*shares, Y[m]), tuple(free), formulas)
+        sought = self.sought.formula(replace(loop, u=u, e_1=e_1)).xreplace(fixed)
+        return ControlledRuns(flow), SoughtAtEnd(flow, sought)
 
     @cached_property
     def resting(self) -> Array:
@@ -211,12 +232,9 @@ class ControlledLoop:
         return x
 
     @property
-    def output(self) -> Array:
-        """e_1 as a row of weights of the states."""
-        m, size = len(self.bounds) - 1, len(self.system.start)
-        row = np.zeros(size + m)
-        row[0], row[size] = 1.0, -1.0
-        return row
+    def at_end(self) -> SoughtAtEnd:
+        """What is sought, from states, controls and parameters at the end."""
+        return self._formulas[1]
 
     def arguments(self, inputs: AdversaryInputs) -> tuple[Array, Array, Array, Array]:
         """Widths, starts, controls and parameters of the members.
@@ -233,24 +251,27 @@ class ControlledLoop:
         return self.widths, starts, controls, inputs.truths
 
     def errors(self, inputs: AdversaryInputs) -> Array:
-        """e_1 at the end, of every member."""
-        states = self.runs.run(*self.arguments(inputs))
-        with np.errstate(all="ignore"):
-            ends: Array = self.output @ states[-1]
-        return ends
+        """e_1, or what else is sought, at the end, of every member."""
+        arguments = self.arguments(inputs)
+        states = self.runs.run(*arguments)
+        return self.at_end.values(states[-1], arguments[2][-1], inputs.truths)
 
     def slopes(self, inputs: AdversaryInputs) -> tuple[Array, AdversaryInputs]:
-        """e_1 at the end, and its slopes by the inputs."""
+        """The same, and its slopes by the inputs."""
         arguments = self.arguments(inputs)
-        states, back = self.runs.run_back(*arguments, self.output)
+        last, truths = arguments[2][-1], inputs.truths
+        ends = None if self.at_end.is_linear else self.runs.run(*arguments)[-1]
+        at_end = self.at_end.slopes(ends, last, truths)
+        states, back = self.runs.run_back(*arguments, at_end.by_states)
+        back.controls[-1] += at_end.by_controls
         n, size = self.system.plant.n, len(self.system.start)
         begin = back.start[size:] + self.resting.T @ back.start[:n]
         first = np.cumsum(self.piece_steps) - self.piece_steps
         steep = np.add.reduceat(back.controls[:, -1], first, axis=0)
         steep = np.concatenate([steep, np.zeros((RESTING_PIECES, inputs.count))])
-        with np.errstate(all="ignore"):
-            ends: Array = self.output @ states[-1]
-        return ends, AdversaryInputs(back.controls[:, :-1], begin, steep, back.parameters)
+        values = self.at_end.values(states[-1], last, truths)
+        by_truths = back.parameters + at_end.by_parameters
+        return values, AdversaryInputs(back.controls[:, :-1], begin, steep, by_truths)
 
 
 def _pieces(steps: int) -> Array:

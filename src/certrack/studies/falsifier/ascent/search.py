@@ -16,7 +16,8 @@ from certrack.studies.falsifier.ascent.case import MEANS, SIGNS, written
 from certrack.studies.falsifier.ascent.climb import Climb, climb
 from certrack.studies.falsifier.ascent.loop import AdversaryInputs, ControlledLoop
 from certrack.studies.falsifier.ascent.seeds import all_members, of_run, waves
-from certrack.studies.falsifier.linear.search import LinearCase, NothingTried, tail_error
+from certrack.studies.falsifier.linear.search import LinearCase, NothingTried
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.systems.system import System
 
 #: Members to begin with, and turns for each number of them: at most, and runs of the search for
@@ -44,10 +45,13 @@ class Ascent:
         The worst of what was written and run.
     runs : int
         Runs that were spent.
+    last_gain : float
+        By what part the last turn made the best member worse.
     """
 
     case: LinearCase
     runs: int
+    last_gain: float
 
 
 def ascend(
@@ -57,6 +61,7 @@ def ascend(
     budget: int,
     seed: int,
     progress: Progress,
+    output: SoughtOutput = ERROR,
 ) -> Ascent:
     """Begin with waves and with the inputs of runs, and make them worse.
 
@@ -71,6 +76,8 @@ def ascend(
         Runs of the whole search: the more, the more turns.
     seed : int
     progress : callable
+    output : SoughtOutput
+        What is made worse.
 
     Raises
     ------
@@ -79,10 +86,11 @@ def ascend(
     """
     if not np.isfinite(bounds).all() or min(bounds) <= 0:
         raise NothingTried("a derivative of the reference has no bound, or stands still")
-    if not ControlledLoop(system, bounds).forgets_start:
+    first = ControlledLoop(system, bounds, sought=output)
+    if not first.forgets_start:
         raise NothingTried("the slowest mode, or leak of an estimate, outlasts the longest run")
-    finer, members, senses = _begun(system, bounds, earlier, np.random.default_rng(seed))
-    loop = ControlledLoop(system, bounds, finer)
+    finer, members, senses = _begun(first, earlier, np.random.default_rng(seed))
+    loop = first.with_steps(finer)
     turns = min(MOST_CLIMB_TURNS, max(1, budget // RUNS_PER_TURN))
 
     def tell(c: Climb) -> None:
@@ -93,14 +101,14 @@ def ascend(
         spent, cases = top.runs, list(_cases(loop, top))
         while finer < MOST_FINER and not any(map(_is_honest, cases)):
             finer *= 2
-            loop = ControlledLoop(system, bounds, finer)
+            loop = first.with_steps(finer)
             half = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
             members, senses = members.finer(2).subset(half), senses[half]
             top = climb(loop, members, senses, turns, tell)
             spent, cases = spent + top.runs, [*cases, *_cases(loop, top)]
     if not cases:
         raise NothingTried("the case found cannot be written as a system")
-    return Ascent(max(cases, key=lambda entry: entry.error), spent)
+    return Ascent(max(cases, key=lambda entry: entry.error), spent, top.last_gain)
 
 
 def _is_honest(case: LinearCase) -> bool:
@@ -109,16 +117,12 @@ def _is_honest(case: LinearCase) -> bool:
 
 
 def _begun(
-    system: System,
-    bounds: tuple[float, ...],
-    earlier: Sequence[tuple[System, Run]],
-    rng: np.random.Generator,
+    loop: ControlledLoop, earlier: Sequence[tuple[System, Run]], rng: np.random.Generator
 ) -> tuple[int, AdversaryInputs, Array]:
     """How fine the steps must be, the members to begin with, and which side each is to make worse.
 
     The members are those of runs, and waves.
     """
-    loop = ControlledLoop(system, bounds)
     seeds = [of_run(loop, *pair) for pair in earlier]
     others = max(4, CLIMBERS - len(seeds))
     members = all_members([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
@@ -126,7 +130,7 @@ def _begun(
     finer, ends = 1, loop.errors(members)
     while finer < MOST_FINER:
         members = members.finer(2)
-        closer = ControlledLoop(system, bounds, 2 * finer).errors(members)
+        closer = loop.with_steps(2 * finer).errors(members)
         off, size = np.abs(closer - ends).max(), np.abs(closer).max()
         if off <= STEP_ERROR * size:  # not so where one is no number
             return finer, members.coarser(2), np.array(senses)
@@ -145,4 +149,4 @@ def _cases(loop: ControlledLoop, top: Climb) -> Iterator[LinearCase]:
                 run = simulate(case)
             except InputError:
                 continue
-            yield LinearCase(float(top.errors[i]), case, run, tail_error(run))
+            yield LinearCase(float(top.errors[i]), case, run, loop.sought.tail(run))

@@ -44,9 +44,10 @@ def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Adversa
 
 
 def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[AdversaryInputs, float]:
-    """The inputs of a run until its worst error of the tail, and the sense of that error."""
+    """The inputs of a run until what is sought is largest in its tail, and the sense of that."""
     late = np.flatnonzero(run.t >= case.settings.tail_start)
-    at = late[int(np.argmax(np.abs(run.e[0][late])))] if late.size else len(run.t) - 1
+    output = loop.sought.values(run)
+    at = late[int(np.argmax(np.abs(output[late])))] if late.size else len(run.t) - 1
     begin = float(run.t[at]) - loop.horizon
     edges = begin + np.concatenate([[0.0], np.cumsum(loop.widths)])
     middle = np.maximum((edges[1:] + edges[:-1]) / 2, 0.0)
@@ -66,7 +67,7 @@ def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[AdversaryInput
     low, high = loop.ranges.T
     truths = np.clip([_true_value(case, name) for name in loop.truth_names], low, high)
     return AdversaryInputs(shares, reference[0], reference[1], truths.reshape(-1, 1)), float(
-        np.sign(run.e[0][at]) or 1.0
+        np.sign(output[at]) or 1.0
     )
 
 

@@ -61,7 +61,7 @@ class Chain:
     cells : tuple of HeldStep
     lengths : of the cells, s
     row : (N,) array
-        The error is row @ z.
+        The error is row @ z; another output has the two numbers below besides.
     start : (N, m) array
         z at the beginning, from y_d ... y_d^(m-1).
     bounds : Y_0 ... Y_m
@@ -74,6 +74,8 @@ class Chain:
         The largest that y_d^(m) may make between pieces.
     states : names of the plant's states
         Where bounds are formulas of them.
+    through, level : float
+        What y_d^(m) adds to the output at once, and a constant.
     """
 
     uncertainty: Uncertainty
@@ -89,6 +91,8 @@ class Chain:
     late: bool = False
     largest_jump: float = math.inf
     states: tuple[str, ...] = ()
+    through: float = 0.0
+    level: float = 0.0
 
     @property
     def period(self) -> float:
@@ -195,6 +199,7 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
     reference, (inside, sampled) = np.zeros(m + len(chain.pieces)), chain.piece_at
     slopes = None if motion is None else chain.slopes(motion.states)
     row = chain.row.copy()
+    reference[m + inside[-1]] += chain.through
     for k in range(chain.periods - 1, -1, -1):
         for c in range(len(chain.cells) - 1, -1, -1):
             cell = chain.cells[c]
@@ -248,4 +253,6 @@ def run(
                 for j, (values, sign) in held.items():
                     w[j] = values[k, c] + sign * (sizes[j] - beta[chain.acting[j]])
                 z = z + cell.G @ w
-    return Motion(float(chain.row @ z), states)
+    last = reference.pieces[inside[-1]]
+    output = float(chain.row @ z + chain.through * last + chain.level)
+    return Motion(output, states)

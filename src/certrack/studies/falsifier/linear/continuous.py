@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from certrack.certificates.ranges.loop import RangedLoop
 from certrack.studies.falsifier.linear.chain import Chain, HeldStep
+from certrack.studies.falsifier.linear.rows import OutputRow, error_row
 
 #: Pieces of the reference.
 REFERENCE_PIECES = 160
@@ -29,7 +30,7 @@ def horizon_of(slowest: float, order: int) -> float:
 
 
 def continuous_chain(
-    loop: RangedLoop, point: Sequence[Any], bounds: Sequence[float]
+    loop: RangedLoop, point: Sequence[Any], bounds: Sequence[float], row: OutputRow | None = None
 ) -> Chain | None:
     """The chain of a robust law's loop.
 
@@ -39,6 +40,8 @@ def continuous_chain(
         Bounded nonlinear terms are left out.
     point : values of its symbols
     bounds : Y_0 ... Y_{q+1}
+    row : OutputRow, optional
+        Of what is made large; the error if left out.
 
     Returns
     -------
@@ -68,8 +71,7 @@ def continuous_chain(
     h = horizon / (stride * REFERENCE_PIECES)
     step = expm(A * h)[:size]
     cell = HeldStep(step[:, :size], step[:, size:-2], step[:, -2], step[:, -1])
-    row = np.zeros(size)
-    row[0], row[n] = 1.0, -1.0
+    row = error_row(n, m) if row is None else row
     return Chain(
         uncertainty=u,
         states=loop.system.plant.states,
@@ -77,11 +79,13 @@ def continuous_chain(
         jump=None,
         cells=(cell,),
         lengths=(h,),
-        row=row,
+        row=np.concatenate([row.of_x, row.of_Y[:m]]),
         start=np.vstack([resting_states(loop), np.eye(m)]),
         bounds=tuple(bounds),
         noise=np.zeros(0),
-        pieces=np.full(REFERENCE_PIECES, stride),
+        pieces=np.array([stride] * REFERENCE_PIECES + [1] * bool(row.of_Y[m])),
+        through=float(row.of_Y[m]),
+        level=row.constant,
     )
 
 

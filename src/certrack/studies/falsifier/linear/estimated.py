@@ -18,8 +18,8 @@ from certrack.studies.falsifier.linear.search import (
     LinearCase,
     NothingTried,
     continuous_case,
-    tail_error,
 )
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.systems.system import System
 
 
@@ -28,7 +28,9 @@ def is_estimated(system: System) -> bool:
     return isinstance(system.law, Adaptive) and bool(system.plant.constant_ranges)
 
 
-def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
+def estimated_case(
+    system: System, bounds: tuple[float, ...], output: SoughtOutput = ERROR
+) -> LinearCase:
     """The worst case of the known loop, run with the adaptive law.
 
     Parameters
@@ -36,6 +38,8 @@ def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     system : System
         Without an implementation.
     bounds : Y_0 ... Y_{q+1}
+    output : SoughtOutput
+        What is made large.
 
     Returns
     -------
@@ -47,7 +51,7 @@ def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
         Where the known loop is not linear, or nothing is found.
     """
     try:
-        known = continuous_case(known_system(system), bounds)
+        known = continuous_case(known_system(system), bounds, output)
     except InputError as problem:  # a range with no nominal value inside, say
         raise NothingTried(f"the loop with known parameters is no system: {problem}") from None
     truth = known.system.truth
@@ -59,7 +63,7 @@ def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
         settings=replace(known.system.settings, estimates=(1 / gain, *theta)),
     )
     run = simulate(case)
-    return LinearCase(known.estimate, case, run, tail_error(run))
+    return LinearCase(known.estimate, case, run, output.tail(run))
 
 
 def known_system(system: System) -> System:

@@ -14,6 +14,7 @@ from certrack.model.implementation import NOISE_BOUND_DEVIATIONS, Implementation
 from certrack.references import jumps, lipschitz_bound
 from certrack.studies.falsifier.linear.chain import Chain, HeldStep, Jump
 from certrack.studies.falsifier.linear.continuous import REFERENCE_PIECES, STEP_PART, horizon_of
+from certrack.studies.falsifier.outputs import ERROR, ERROR_NAME, STATE, SoughtOutput
 from certrack.systems.system import System
 
 #: Samples in a run, at most: slower loops would take minutes.
@@ -27,7 +28,9 @@ LAST_PIECES = 8
 MOST_STEPS_PER_PERIOD = 16
 
 
-def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
+def sampled_chain(
+    system: System, bounds: tuple[float, ...], output: SoughtOutput = ERROR
+) -> Chain | None:
     """The chain of a system with an implementation, whose truth has the constants of the case.
 
     Parameters
@@ -36,6 +39,8 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
         Limits of the input are left out; half a step of each sensor counts as noise.
     bounds : Y_0 ... Y_m
         Of a :class:`ReferenceClass`.
+    output : SoughtOutput
+        What is made large: the input is that which acts at the end.
 
     Returns
     -------
@@ -57,7 +62,12 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     start, N = _start(system, loop, delay, m), len(loop.b)
     size = N + len(loop.controller.states) + math.floor(delay) + 2
     row = np.zeros(size + m)
-    row[:N], row[size] = loop.C[0], -1.0
+    if output.kind == ERROR_NAME:
+        row[:N], row[size] = loop.C[0], -1.0
+    elif output.kind == STATE:
+        row[:N] = loop.C[output.place]
+    else:
+        row[N + len(loop.controller.states) + math.floor(delay)] = 1.0
     return Chain(
         uncertainty=u,
         states=system.plant.states,

@@ -11,7 +11,6 @@ from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.scope import refuse_unknown
 from certrack.core.errors import CertrackError, InputError
-from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters
 from certrack.model.jitter import JITTER_PATTERNS
 from certrack.simulation.run import Run
@@ -21,11 +20,13 @@ from certrack.studies.falsifier.linear.case import at_point, written_case
 from certrack.studies.falsifier.linear.chain import Chain
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.corners import worst_corners
+from certrack.studies.falsifier.linear.rows import row_of
 from certrack.studies.falsifier.linear.sampled import (
     reference_class,
     sampled_chain,
     with_jumps,
 )
+from certrack.studies.falsifier.outputs import ERROR, SoughtOutput
 from certrack.systems.system import System
 
 #: Corners whose worst inputs are computed and simulated.
@@ -43,12 +44,13 @@ class LinearCase:
     Attributes
     ----------
     estimate : float
-        |e_1| at the end, by the linear loop.
+        |e_1|, or the output sought, at the end, by the linear loop.
     system : System
         Replays it.
     run : Run
     error : float
-        Tail error of the run; inf if it escapes, 0 if it ends before the tail.
+        Tail error of the run, or the largest magnitude of the output sought; inf if it escapes, 0
+        if it ends before the tail.
     """
 
     estimate: float
@@ -57,7 +59,9 @@ class LinearCase:
     error: float
 
 
-def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
+def continuous_case(
+    system: System, bounds: tuple[float, ...], output: SoughtOutput = ERROR
+) -> LinearCase:
     """The worst case of the continuous loop at constant parameters.
 
     Parameters
@@ -65,6 +69,8 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     system : System
         Without an implementation.
     bounds : Y_0 ... Y_{q+1}
+    output : SoughtOutput
+        What is made large.
 
     Returns
     -------
@@ -73,20 +79,33 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     Raises
     ------
     NothingTried
-        For a law whose loop is not linear, or where nothing is found.
+        For a law whose loop is not linear, an output that is not, or where nothing is found.
     """
     loop = _linear_loop(system, bounds)
-    points = worst_corners(loop, bounds, MAX_CANDIDATES)
+    row = row_of(system, output, len(bounds) - 1)
+    if row is None:
+        raise NothingTried(f"{output.symbol_text} is not linear in the states")
+
+    def size(point: tuple[Any, ...]) -> float | None:
+        chain = continuous_chain(loop, point, bounds, row)
+        first = None if chain is None else worst_inputs(chain, turns=1)
+        return None if first is None else first.error
+
+    points = worst_corners(loop, bounds, MAX_CANDIDATES, None if output == ERROR else size)
     return _worst_of(
         loop,
         (
-            (continuous_chain(loop, point, bounds), at_point(system, values_at(loop, point)))
+            (continuous_chain(loop, point, bounds, row), at_point(system, values_at(loop, point)))
             for point in points
         ),
+        output,
+        odd=not row.constant,
     )
 
 
-def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
+def sampled_case(
+    system: System, bounds: tuple[float, ...], output: SoughtOutput = ERROR
+) -> LinearCase:
     """The worst case of the loop as a drive carries it out.
 
     Parameters
@@ -94,6 +113,8 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     system : System
         With an implementation.
     bounds : Y_0 ... Y_{q+1}
+    output : SoughtOutput
+        What is made large.
 
     Returns
     -------
@@ -119,10 +140,10 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     chains = (
         (entry, member)
         for member in members
-        if (chain := sampled_chain(member, references.bounds))
+        if (chain := sampled_chain(member, references.bounds, output))
         for entry in [_worst_partition(with_jumps(chain, references))]
     )
-    return _worst_of(loop, chains)
+    return _worst_of(loop, chains, output)
 
 
 def _without_integral(system: System) -> System:
@@ -165,7 +186,13 @@ def _timed(case: System) -> list[System]:
     ]
 
 
-def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase:
+def _worst_of(
+    loop: RangedLoop,
+    chains: Iterable[tuple[Chain | None, System]],
+    output: SoughtOutput,
+    *,
+    odd: bool = True,
+) -> LinearCase:
     """The worst inputs of all chains, each with its system, simulated."""
     attacks = [
         (worst, member)
@@ -175,14 +202,14 @@ def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -
     if not attacks:
         raise NothingTried("the loop is not stable, forgets too slowly, or has no linear program")
     worst, member = max(attacks, key=lambda pair: pair[0].error)
-    odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
+    odd = odd and not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     try:
         senses = (1,) if odd else (1, -1)
         cases = [case for sense in senses for case in _timed(written_case(member, worst, sense))]
     except InputError as problem:  # beyond what a system may be, such as too many samples
         raise NothingTried(f"the case found cannot be written as a system: {problem}") from None
     played = [(case, simulate(case)) for case in cases]
-    entries = [LinearCase(worst.error, case, run, tail_error(run)) for case, run in played]
+    entries = [LinearCase(worst.error, case, run, output.tail(run)) for case, run in played]
     return max(entries, key=lambda entry: entry.error)
 
 
@@ -200,11 +227,3 @@ def linear_error_loop(system: System) -> RangedLoop | None:
 def values_at(loop: RangedLoop, point: tuple[Any, ...]) -> dict[str, Any]:
     """The values of what has a range, as texts of fractions by name."""
     return {str(name): str(value) for name, value in zip(loop.symbols, point, strict=True)}
-
-
-def tail_error(run: Run) -> float:
-    """Tail error of a run; inf if it escapes, 0 if it ends before the tail."""
-    if run.outcome is Outcome.escaped:
-        return math.inf
-    error = float(run.metrics.tail_error)
-    return 0.0 if math.isnan(error) else error
