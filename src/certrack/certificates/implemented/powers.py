@@ -62,7 +62,7 @@ def powers_of_columns(
     M: flint.arb_mat, columns: flint.arb_mat, doublings: int
 ) -> tuple[Enclosed, flint.arb_mat]:
     """2^doublings of columns, M columns, M^2 columns ... side by side; and the next power of M."""
-    blocks, power = _blocks(M, doublings, [columns], lambda power, block: power * block)
+    blocks, power = _power_blocks(M, doublings, [columns], lambda power, block: power * block)
     return Enclosed.of_blocks(blocks, axis=1), power
 
 
@@ -70,11 +70,11 @@ def powers_of_rows(
     power: flint.arb_mat, rows: flint.arb_mat, doublings: int
 ) -> tuple[Enclosed, np.ndarray]:
     """2^doublings of rows, rows P, rows P^2 ..., one above the other; magnitudes of the next."""
-    blocks, power = _blocks(power, doublings, [rows], lambda power, block: block * power)
+    blocks, power = _power_blocks(power, doublings, [rows], lambda power, block: block * power)
     return Enclosed.of_blocks(blocks, axis=0), Enclosed.of(rows * power).upper
 
 
-def _blocks(
+def _power_blocks(
     power: flint.arb_mat, doublings: int, blocks: list[flint.arb_mat], product: Any
 ) -> tuple[list[flint.arb_mat], flint.arb_mat]:
     """The block times P^0, P^1 ..., and the next power: to join balls costs more than products."""
