@@ -233,8 +233,8 @@ def _proven(
     plant, proven, tried = RangedPlant(system), [], {}
     refuse_in_cells(system, plant.box)
     for delay in wanted:
-        found, tried[str(delay)] = prove_cells(system, plant, delay, effort, progress)
-        proven += found
+        in_cells, tried[str(delay)] = prove_cells(system, plant, delay, effort, progress)
+        proven += in_cells
     return proven, tried
 
 
