@@ -34,14 +34,12 @@ from certrack.certificates.implemented.proof import (
     start_prover,
 )
 from certrack.certificates.implemented.start import Later, _product_with, is_above, up
-from certrack.certificates.implemented.start_proof import (
+from certrack.certificates.implemented.start_proof import MOST_DOUBLINGS, StartProof, StartProver
+from certrack.certificates.implemented.start_set import (
     ANY_PHASE,
     FILE_PHASE,
-    MOST_DOUBLINGS,
     POLYTOPE,
     X0,
-    StartProof,
-    StartProver,
     start_set_of,
 )
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN

@@ -25,6 +25,7 @@ from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import mean_magnitude, output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
+from certrack.certificates.implemented.powers import PastRows
 from certrack.certificates.implemented.proof import delays, failed_implemented, prove_implemented
 from certrack.cli import main
 from certrack.loops.stability import linear_loop
@@ -362,7 +363,8 @@ def test_floats_enclose_what_balls_compute():
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
         past = gains_room.running_period(period, rows)[1]
-        sums, _, _ = gains_room.sums_of_periods(period, columns, past, doublings)
+        heads = PastRows.of(period, past, doublings)
+        sums, _ = gains_room.sums_of_periods(period, columns, heads, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
         exact = [flint.arb(0)] * (sums.shape[1])

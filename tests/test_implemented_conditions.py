@@ -17,8 +17,8 @@ from certrack.certificates.implemented.proof import (
     ImplementedProof,
     cells_of,
     failed_implemented,
-    refuse_in_cells,
 )
+from certrack.certificates.implemented.ranged import refuse_in_cells
 
 
 def claim(**changed):

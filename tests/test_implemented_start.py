@@ -26,12 +26,8 @@ from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.proof import cells_of, delays, start_prover
 from certrack.certificates.implemented.start import FromStarts, Later, Starts, is_above
-from certrack.certificates.implemented.start_proof import (
-    MOST_DOUBLINGS,
-    POLYTOPE,
-    X0,
-    start_set_of,
-)
+from certrack.certificates.implemented.start_proof import MOST_DOUBLINGS
+from certrack.certificates.implemented.start_set import POLYTOPE, X0, start_set_of
 from certrack.model.distribution import Distribution
 from certrack.reports.sampled import implemented_notes, implemented_summary
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside

@@ -25,7 +25,8 @@ def beside(*matrices: flint.arb_mat) -> flint.arb_mat:
 
 def above(*matrices: flint.arb_mat) -> flint.arb_mat:
     """Matrices one above the other."""
-    return flint.arb_mat([row for matrix in matrices for row in matrix.tolist()])
+    entries = list(chain(*(matrix.entries() for matrix in matrices)))
+    return flint.arb_mat(sum(m.nrows() for m in matrices), matrices[0].ncols(), entries)
 
 
 def absolute(matrix: flint.arb_mat) -> flint.arb_mat:

@@ -247,8 +247,14 @@ class PiecewiseReference:
 
         Of cubics up to rounding, which is counted; of higher degrees in rational arithmetic.
         """
-        values = tuple(self._bound(i) for i in range(order + 1))
+        values = self._bounds_to_smoothness[: order + 1]
+        values += tuple(self._bound(i) for i in range(len(values), order + 1))
         return Bounds(values, ("exact",) * (order + 1))
+
+    @cached_property
+    def _bounds_to_smoothness(self) -> tuple[float, ...]:
+        """Once: every cell of every certificate asks for them."""
+        return tuple(self._bound(i) for i in range(self.smoothness + 1))
 
     def _bound(self, i: int) -> float:
         a = np.array(self.coefficients)

@@ -13,7 +13,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
-from certrack.certificates.implemented.cover import failed_cells, prove_cells
+from certrack.certificates.implemented.cover import Proven, failed_cells, prove_cells
 from certrack.certificates.implemented.drive import nominal_drive, open_names
 from certrack.certificates.implemented.from_starts import (
     ANY_START,
@@ -32,14 +32,14 @@ from certrack.certificates.implemented.proof import (
     delays,
     failed_implemented,
     prove_implemented,
-    refuse_in_cells,
 )
-from certrack.certificates.implemented.ranged import RangedPlant
+from certrack.certificates.implemented.ranged import RangedPlant, refuse_in_cells
 from certrack.certificates.implemented.rates_used import rated_terms, rates_unused
 from certrack.certificates.implemented.region import without_polytopes
 from certrack.certificates.implemented.regional import is_regional
-from certrack.certificates.implemented.start_proof import X0
+from certrack.certificates.implemented.start_set import X0
 from certrack.certificates.premise import Premise
+from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.region import claim_text, is_only_in_region
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
@@ -172,7 +172,7 @@ def certify_implemented(
     partly = limited or is_regional(system)
     try:
         with within_floats():
-            proven = _proven(system, effort, progress)
+            proven, tried = _proven(system, effort, progress)
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
@@ -180,7 +180,7 @@ def certify_implemented(
             if partly or (from_start and not jitters(system)):
                 evidence = from_starts(system, proofs)
             searched = margins and not (is_regional(system) or jitters(system))
-            periods = period_margins(system, proofs, limits_met) if searched else None
+            periods = period_margins(system, proofs, limits_met, tried) if searched else None
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
@@ -223,16 +223,19 @@ def from_x0_only(
 
 def _proven(
     system: System, effort: str, progress: Progress
-) -> list[tuple[ImplementedProof, dict[str, float]]]:
-    """Proofs for every delay and cell, and what their bounds are made of."""
+) -> tuple[list[Proven], dict[str, dict[Cell, float]]]:
+    """Proofs for every delay and cell, what their bounds are made of, and the bounds of all cells
+    that were looked at, by delay.
+    """
     wanted = delays(system) or (None,)
     if system.implementation is None or not open_names(system):
-        return [prove_implemented(system, delay) for delay in wanted]
-    plant = RangedPlant(system)
+        return [prove_implemented(system, delay) for delay in wanted], {}
+    plant, proven, tried = RangedPlant(system), [], {}
     refuse_in_cells(system, plant.box)
-    return [
-        entry for delay in wanted for entry in prove_cells(system, plant, delay, effort, progress)
-    ]
+    for delay in wanted:
+        in_cells, tried[str(delay)] = prove_cells(system, plant, delay, effort, progress)
+        proven += in_cells
+    return proven, tried
 
 
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:

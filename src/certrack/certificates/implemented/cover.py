@@ -52,8 +52,7 @@ def prove_cells(
     delay: Any,
     effort: str = "default",
     progress: Progress = silent,
-    enough: float = 0.0,
-) -> list[Proven]:
+) -> tuple[list[Proven], dict[Cell, float]]:
     """Proofs for cells that fill the ranges of a system, for one delay.
 
     Parameters
@@ -65,35 +64,82 @@ def prove_cells(
         How many cells there may be.
     progress : callable
         Gets the number of cells, None and the bound so far.
-    enough : float
-        The search ends where no cell has a larger bound.
+
+    Returns
+    -------
+    proofs : list of Proven
+    bounds : dict
+        Of every cell that was looked at; inf where it has none.
 
     Raises
     ------
     NoCertificate
         If a cell has none, with its name.
     """
-    tried: dict[Cell, Proven | NoCertificate] = {}
+    search = _CellSearch(system, plant, delay)
+    cells = search.divided(effort, progress)
+    failed = next((cell for cell in cells if search.bound(cell) == math.inf), None)
+    if failed is not None:
+        raise NoCertificate(_no_bound_for(system, plant, delay, cells, failed, effort))
+    return search.proofs(cells), {cell: search.bound(cell) for cell in search.tried}
 
-    def bound(cell: Cell) -> float:
-        if cell not in tried:
+
+def prove_few_cells(
+    system: System, plant: RangedPlant, delay: Any, enough: float, begin: Sequence[Cell] = ()
+) -> list[Proven]:
+    """Proofs for cells that fill the ranges, no more of them than a bound needs.
+
+    Parameters
+    ----------
+    system, plant, delay
+        Of :func:`prove_cells`.
+    enough : float
+        The bound: the search ends where no cell has a larger one.
+    begin : sequence of Cell
+        Cells that fill the ranges, to begin with; they may be cut further.
+
+    Raises
+    ------
+    NoCertificate
+        If a cell has none.
+    """
+    search = _CellSearch(system, plant, delay)
+    cells = search.divided("default", silent, enough, begin)
+    if max(map(search.bound, cells)) == math.inf:
+        raise NoCertificate("a cell of the ranges has no bound")
+    return search.proofs(cells)
+
+
+class _CellSearch:
+    """Proofs of cells, each tried once."""
+
+    def __init__(self, system: System, plant: RangedPlant, delay: Any) -> None:
+        self._system, self._plant, self._delay = system, plant, delay
+        self.tried: dict[Cell, Proven | None] = {}
+
+    def bound(self, cell: Cell) -> float:
+        """The bound of a cell; inf where it has none."""
+        if cell not in self.tried:
             try:
-                tried[cell] = prove_implemented(system, delay, cell, plant)
-            except NoCertificate as refusal:
-                tried[cell] = refusal
-        proven = tried[cell]
-        return math.inf if isinstance(proven, NoCertificate) else _size(proven)
+                self.tried[cell] = prove_implemented(self._system, self._delay, cell, self._plant)
+            except NoCertificate:
+                self.tried[cell] = None
+        known = self.tried[cell]
+        return math.inf if known is None else _size(known)
 
-    most = 1 if plant.varies else cells_allowed(plant, delay, effort)
-    report = partial(_report, bound, progress)
-    cells = divided(plant.box, bound, most, WORTHWHILE, report, enough)
-    proofs = []
-    for cell in sorted(cells):
-        proven = tried[cell]
-        if isinstance(proven, NoCertificate):
-            raise NoCertificate(_no_bound_for(system, plant, delay, cells, cell, effort))
-        proofs.append(proven)
-    return proofs
+    def divided(
+        self, effort: str, progress: Progress, enough: float = 0.0, begin: Sequence[Cell] = ()
+    ) -> list[Cell]:
+        """Cells that fill the ranges."""
+        plant = self._plant
+        most = 1 if plant.varies else cells_allowed(plant, self._delay, effort)
+        report = partial(_report, self.bound, progress)
+        cells = divided(plant.box, self.bound, most, WORTHWHILE, report, enough, begin=begin)
+        return sorted(cells)
+
+    def proofs(self, cells: Sequence[Cell]) -> list[Proven]:
+        """Those of cells that all have one."""
+        return [proven for cell in cells if (proven := self.tried[cell]) is not None]
 
 
 def cells_allowed(plant: RangedPlant, delay: Any, effort: str) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -20,14 +20,13 @@ from certrack.certificates.implemented.polytope import Polytope, common
 from certrack.certificates.implemented.proof import ImplementedProof, cells_of, start_prover
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.regional import is_regional
-from certrack.certificates.implemented.start_proof import (
+from certrack.certificates.implemented.start_proof import limit_met, polytope_of
+from certrack.certificates.implemented.start_set import (
     ANY_PHASE,
     FILE_PHASE,
     POLYTOPE,
     X0,
-    limit_met,
     phase_of,
-    polytope_of,
     start_set_of,
 )
 from certrack.certificates.ranges.proofs import numbers
@@ -173,10 +172,10 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     plant = RangedPlant(system) if proofs[0].cell else None
     findings: list[Findings] = []
     for proof in proofs:
-        begin = _begin_near(findings[-1]) if proof.cell and findings else 0
+        begin = _begin_near(findings[-1]) if proof.cell and findings else {}
         finding = _starts_of_delay(system, proof, plant, begin)
         if begin and (finding.reason or finding.polytope is None):  # fewer periods may have one
-            finding = _starts_of_delay(system, proof, plant, 0)
+            finding = _starts_of_delay(system, proof, plant, {})
         findings.append(finding)
     reason = next((entry.reason for entry in findings if entry.reason), "")
     polytopes = [entry.polytope for entry in findings if entry.polytope is not None]
@@ -191,14 +190,16 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     )
 
 
-def _begin_near(neighbour: Findings) -> int:
+def _begin_near(neighbour: Findings) -> dict[str, int]:
     """The doublings that the starts of another cell need: those of this one hardly need fewer."""
-    needed = (start.doublings for start in neighbour.proofs[0].starts)
-    return min(needed, default=0)
+    return {start.of: start.doublings for start in neighbour.proofs[0].starts}
 
 
 def _starts_of_delay(
-    system: System, proof: ImplementedProof, plant: RangedPlant | None, begin: int
+    system: System,
+    proof: ImplementedProof,
+    plant: RangedPlant | None,
+    begin: Mapping[str, int],
 ) -> Findings:
     limited, polytope, reason = is_limited(system), None, ""
     starts = list(proof.starts)

@@ -28,11 +28,19 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, gamma, padded
-from certrack.core.ball_matrices import above, absolute, beside, column, identity
+from certrack.certificates.implemented.powers import (
+    PastRows,
+    powers_of_columns,
+    rows_before_jump,
+)
+from certrack.core.ball_matrices import absolute, beside, column, identity
 
 #: The weights of the tail may be any positive numbers. An entry of chi on which nothing acts has
 #: this part of the largest.
 SMALLEST_TAIL_WEIGHT = 1e-30
+
+#: Nothing is divided by less.
+SMALLEST_TOTAL = 1e-300
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,9 @@ def upper_number(ball: Any) -> float:
     return float(Enclosed.of(flint.arb_mat([[ball]])).upper[0, 0])
 
 
-def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGains:
+def output_gains(
+    period: Period, rows: Sequence[Row], doublings: int, past: PastRows | None = None
+) -> PeakGains:
     """The gains of rows, of all the past.
 
     Parameters
@@ -156,6 +166,8 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     doublings : int
         2^doublings whole periods are summed one by one; what is before them is bounded by the sums
         of the unit rows.
+    past : PastRows, optional
+        Those of the rows, if they are at hand.
 
     Raises
     ------
@@ -163,11 +175,11 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
         If the tail does not shrink: the loop may be unstable, or needs more periods.
     """
     drive, smeared = period.drive, period.drive.lipschitz is not None
-    running, past = running_period(period, rows)
-    heads = above(past, identity(period.size))
+    running, _ = running_period(period, rows)
+    past = past or PastRows.of_outputs(period, rows, doublings)
     of_period = kernel_columns(period, len(period.cells), smeared)
-    sums, samples, last = sums_of_periods(period, of_period, heads, doublings)
-    count = len(rows)
+    sums, samples = sums_of_periods(period, of_period, past, doublings)
+    count, last = len(rows), past.last
     of_rows, each = (
         gains_table(of_period, drive.n, sums[:count]),
         gains_table(of_period, drive.n, sums[count:]),
@@ -187,7 +199,6 @@ def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, fli
     """PeakGains of the running period, and the rows before its jump."""
     drive, nw = period.drive, period.drive.W.ncols()
     table = np.zeros((len(rows), nw + 1 + drive.n + 3))
-    past: list[list[Any]] = [[] for _ in rows]
     for phase in range(len(period.cells)):
         chosen = [i for i, row in enumerate(rows) if row.phase == phase]
         if not chosen:
@@ -201,10 +212,7 @@ def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, fli
         gains[:, -1] = gains[:, nw + 1 + drive.n]  # the sample is an input by itself
         gains[:, nw + 1 + drive.n] = 0
         table[chosen] = gains
-        before = (matrix * (period.since_jump(phase)[-1] * period.jump)).tolist()
-        for i, entries in zip(chosen, before, strict=True):
-            past[i] = entries
-    return table, flint.arb_mat(past)
+    return table, rows_before_jump(period, rows)
 
 
 def sums_over_time(columns: KernelColumns, values: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -225,18 +233,16 @@ def sums_over_time(columns: KernelColumns, values: np.ndarray, error: np.ndarray
     lines = lines + (off[:, :-1] + off[:, 1:]) / 2
     integrals = np.einsum("c,rcw->rw", columns.lengths, lines)
     magnitudes = np.abs(values[:, :, split:]).sum(axis=1) + error[:, split:]
-    return widened(np.hstack([integrals, magnitudes]), count + 16)
+    return widened(np.hstack([integrals, magnitudes]), count + ends + 16)
 
 
 def mean_magnitude(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Mean of |line| between the values a and b, but for a few roundings."""
-    p, q = np.abs(a), np.abs(b)
-    total = p + q
-    crossing = (a < 0) != (b < 0)
+    total = np.abs(a) + np.abs(b)
+    # (|a| + |b|)/2, and where the line crosses zero less |a b|/(|a| + |b|), without a square
     with np.errstate(all="ignore"):
-        # (p^2 + q^2)/(2 (p + q)), without squares that might underflow
-        crossed = 0.5 * (p * (p / total) + q * (q / total))
-    return np.where(crossing & (total > 0), crossed, 0.5 * total)
+        crossed = a * (b / np.maximum(total, SMALLEST_TOTAL))
+    return 0.5 * total + np.minimum(crossed, 0.0)
 
 
 def gains_table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
@@ -253,23 +259,19 @@ def gains_table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
 
 
 def sums_of_periods(
-    period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums of :func:`sums_over_time` over whole periods; what each sample adds; the rows after.
+    period: Period, of_period: KernelColumns, past: PastRows, doublings: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of :func:`sums_over_time` over whole periods, and what each sample adds.
 
     Returns
     -------
     sums : (rows, columns) array
     samples : (rows, periods) array
         Magnitudes in the column of the sample, the newest period first.
-    last : (rows, N) array
-        Magnitudes of the rows after the periods.
     """
-    count, inner = rows.nrows(), doublings // 2
+    heads, count, inner = past.heads, len(past.last), doublings // 2
     block, blocks = 2**inner, 2 ** (doublings - inner)
-    balls, jumped = powers_of_columns(period.map, of_period.all(), inner)
-    table = Enclosed.of(balls)  # N rows, the columns of M^0, M^1 ... beside each other
-    heads, last = powers_of_rows(jumped, rows, doublings - inner)
+    table, _ = powers_of_columns(period.map, of_period.all(), inner)
     error = product_error(heads, table, count, block)
     total: np.ndarray | float = 0.0
     at, samples = of_period.nodes.ncols() + period.drive.n, []
@@ -279,7 +281,7 @@ def sums_of_periods(
         samples.append(np.abs(values[:, :, at]))
     each = np.hstack(samples)
     each[np.arange(len(each)), each.argmax(axis=1)] += error[:, at]  # of all of them
-    return widened(total + _sums_of_errors(of_period, error), blocks + 8), each, last
+    return widened(total + _sums_of_errors(of_period, error), blocks + 8), each
 
 
 def largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
@@ -310,28 +312,6 @@ def product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> n
     rounding = 2 * (size + 4) * ROUNDOFF * (head @ entry)
     off = head @ entry_error + head_error @ (entry + entry_error)
     return widened(rounding + off, 4 * blocks + 2 * block + 4 * size)
-
-
-def powers_of_columns(
-    M: flint.arb_mat, columns: flint.arb_mat, doublings: int
-) -> tuple[flint.arb_mat, flint.arb_mat]:
-    """2^doublings of columns, M columns, M^2 columns ... side by side; and the next power of M."""
-    power = M
-    for _ in range(doublings):
-        columns = beside(columns, power * columns)
-        power = power * power
-    return columns, power
-
-
-def powers_of_rows(
-    power: flint.arb_mat, rows: flint.arb_mat, doublings: int
-) -> tuple[Enclosed, np.ndarray]:
-    """2^doublings of rows, rows P, rows P^2 ..., one above the other; magnitudes of the next."""
-    heads = rows
-    for _ in range(doublings):
-        heads = above(heads, heads * power)
-        power = power * power
-    return Enclosed.of(heads), Enclosed.of(rows * power).upper
 
 
 def tail_gains(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:

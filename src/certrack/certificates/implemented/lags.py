@@ -19,8 +19,6 @@ from certrack.certificates.implemented.gains import (
     KernelColumns,
     gains_table,
     kernel_columns,
-    powers_of_columns,
-    powers_of_rows,
     product_error,
     running_period,
     sums_over_time,
@@ -28,6 +26,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period
+from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
 from certrack.core.ball_matrices import above, identity
 
 #: Numbers in the tables of all lags, at most: some 300 MB.
@@ -114,8 +113,7 @@ def _by_lag(
     """
     count, size, inner = rows.nrows(), period.size, doublings // 2
     block = 2**inner
-    balls, jumped = powers_of_columns(period.map, columns.all(), inner)
-    table = Enclosed.of(balls)
+    table, jumped = powers_of_columns(period.map, columns.all(), inner)
     heads, last = powers_of_rows(jumped, rows, doublings - inner)
     error = product_error(heads, table, count, block)
     repeated = np.repeat(error, block, axis=0)

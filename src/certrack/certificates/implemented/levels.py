@@ -35,6 +35,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, gamma, shift
+from certrack.certificates.implemented.powers import PastRows
 from certrack.core.ball_matrices import above, beside, column, identity
 
 
@@ -154,7 +155,9 @@ def reference_columns(period: Period, levels: Sequence[Level], phase: int) -> Ke
     )
 
 
-def partly_cancelled(period: Period, rows: Sequence[Row], doublings: int) -> np.ndarray | None:
+def partly_cancelled(
+    period: Period, rows: Sequence[Row], doublings: int, past: PastRows | None = None
+) -> np.ndarray | None:
     """The smallest bound of the reference's part of every row, over the levels; rounded up.
 
     Without what a sample of y_d^(q+1) differs from its mean by, which is the same in all of them.
@@ -166,35 +169,28 @@ def partly_cancelled(period: Period, rows: Sequence[Row], doublings: int) -> np.
     levels = levels_of(period)
     if not levels:
         return None
-    count, size, cells = len(rows), period.size, len(period.cells)
-    running, past = _running(period, levels, rows)
+    count, cells = len(rows), len(period.cells)
+    past = past or PastRows.of_outputs(period, rows, doublings)
+    running, last = _running(period, levels, rows), past.last
     columns = reference_columns(period, levels, cells)
-    sums, _, last = sums_of_periods(period, columns, above(past, identity(size)), doublings)
+    sums, _ = sums_of_periods(period, columns, past, doublings)
     sized = _sized(period, levels, columns, cells, sums)
     total = running + sized[:count] + tail_gains(last[:count], sized[count:], last[count:])
     return widened(total + _still(period, levels, rows), 8).min(axis=1)
 
 
-def _running(
-    period: Period, levels: Sequence[Level], rows: Sequence[Row]
-) -> tuple[np.ndarray, flint.arb_mat]:
-    """What the running period adds, level by level, and the rows before its jump."""
+def _running(period: Period, levels: Sequence[Level], rows: Sequence[Row]) -> np.ndarray:
+    """What the running period adds, level by level."""
     table = np.zeros((len(rows), len(levels)))
-    past: list[list[flint.arb]] = [[] for _ in rows]
-    for phase in range(len(period.cells)):
+    for phase in range(1, len(period.cells)):
         chosen = [i for i, row in enumerate(rows) if row.phase == phase]
-        if not chosen:
-            continue
-        matrix = flint.arb_mat([list(rows[i].row) for i in chosen])
-        if phase:
+        if chosen:
+            matrix = flint.arb_mat([list(rows[i].row) for i in chosen])
             seen = reference_columns(period, levels, phase)
             values = Enclosed.of(matrix * seen.all())
             sums = sums_over_time(seen, values.value[:, None], values.error)
             table[chosen] = _sized(period, levels, seen, phase, sums)
-        before = (matrix * (period.since_jump(phase)[-1] * period.jump)).tolist()
-        for i, entries in zip(chosen, before, strict=True):
-            past[i] = entries
-    return table, flint.arb_mat(past)
+    return table
 
 
 def _sized(

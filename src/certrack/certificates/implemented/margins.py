@@ -7,7 +7,7 @@ Both are found in floats and then proven; that all periods between them hold is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -15,9 +15,10 @@ from typing import Any
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up, from_text
-from certrack.certificates.implemented.cover import prove_cells
+from certrack.certificates.implemented.cover import prove_few_cells
 from certrack.certificates.implemented.proof import ImplementedProof, prove_implemented
 from certrack.certificates.implemented.ranged import RangedPlant
+from certrack.certificates.ranges.cells import Cell, coarsest
 from certrack.certificates.ranges.proofs import numbers
 from certrack.core.errors import InputError
 from certrack.core.rounding import in_digits
@@ -58,6 +59,7 @@ def period_margins(
     system: System,
     proofs: Sequence[ImplementedProof],
     within_limits: Callable[[System, Sequence[ImplementedProof]], str],
+    tried: Mapping[str, Mapping[Cell, float]] | None = None,
 ) -> PeriodMargins:
     """Search the periods of a system that are proven as its own is.
 
@@ -67,6 +69,9 @@ def period_margins(
     proofs : of its own period
     within_limits : callable
         Why the input may stay at its limits; empty if it does not.
+    tried : mapping, optional
+        By delay, the bounds at its own period of every cell of the ranges that was looked at: a
+        cell that has no bound there is not tried at other periods.
     """
     drive = system.implementation
     assert drive is not None
@@ -78,7 +83,7 @@ def period_margins(
             other = system.replace(implementation=replace(drive, period=period))
             plant = RangedPlant(other) if chosen[0].cell else None
             if plant is not None and chosen is proofs:
-                again = _in_few_cells(other, plant, proofs, admitted)
+                again = _in_few_cells(other, plant, tried or {}, proofs, admitted)
             else:
                 again = [_again(other, proof, plant) for proof in chosen]
         except (NoCertificate, InputError):
@@ -109,15 +114,19 @@ def period_margins(
 
 
 def _in_few_cells(
-    system: System, plant: RangedPlant, proofs: Sequence[ImplementedProof], admitted: float
+    system: System,
+    plant: RangedPlant,
+    tried: Mapping[str, Mapping[Cell, float]],
+    proofs: Sequence[ImplementedProof],
+    admitted: float,
 ) -> list[ImplementedProof]:
     """Proofs for the same delays, of cells that fill the ranges: for this bound a few will do."""
-    delays = dict.fromkeys(proof.delay for proof in proofs)
-    return [
-        proof
-        for delay in delays
-        for proof, _ in prove_cells(system, plant, rational(Fraction(delay)), enough=admitted)
-    ]
+    again = []
+    for text in dict.fromkeys(proof.delay for proof in proofs):
+        begin = coarsest(plant.box, tried[text], admitted) if text in tried else ()
+        delay: Any = rational(Fraction(text))
+        again += [p for p, _ in prove_few_cells(system, plant, delay, admitted, begin)]
+    return again
 
 
 def _again(system: System, proof: ImplementedProof, plant: RangedPlant | None) -> ImplementedProof:

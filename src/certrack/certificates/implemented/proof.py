@@ -7,7 +7,7 @@ gains and F(v) anew, in balls, from the text of the system.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -27,7 +27,8 @@ from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.levels import partly_cancelled
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
-from certrack.certificates.implemented.ranged import RangedPlant, drive_in
+from certrack.certificates.implemented.powers import PastRows
+from certrack.certificates.implemented.ranged import RangedPlant, drive_in, refuse_in_cells
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.slow import (
     SlowTerms,
@@ -36,7 +37,8 @@ from certrack.certificates.implemented.slow import (
     slow_columns,
 )
 from certrack.certificates.implemented.start import FromStarts
-from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
+from certrack.certificates.implemented.start_proof import StartProof, StartProver
+from certrack.certificates.implemented.start_set import POLYTOPE, X0
 from certrack.certificates.implemented.step_search import RATES_PART, by_rates
 from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.certificates.ranges.cells import Cell
@@ -139,7 +141,7 @@ def prove_implemented(
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
-        bounds = _bounds(period, doublings)
+        bounds = _bounds(period, doublings, refuse_early=True)
         if drive.jitter:
             return _prove_with_jitter(system, period, doublings, bounds)
         starts = _starts_of_region(system, delay, cells_of(drive))
@@ -168,21 +170,6 @@ def prove_implemented(
             image[0] = rated.bound
         bound, step = (_text_above(value) for value in (image[0], image[-1]))
     return replace(proof, bound=bound, step=step), parts
-
-
-def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
-    """Raise NoCertificate where constants have ranges and a bound is a formula, or times move."""
-    drive = system.implementation
-    stated = {
-        "plant.uncertainty.bound": system.plant.uncertainty.bound is not None,
-        "implementation.jitter": drive is not None and drive.jitter > 0,
-    }
-    if cell and any(stated.values()):
-        what = " and ".join(name for name, is_stated in stated.items() if is_stated)
-        raise NoCertificate(
-            f"{what} {'is' if sum(stated.values()) == 1 else 'are'} not covered together with "
-            "ranges of constants: leave it or plant.ranges out"
-        )
 
 
 def _prove_with_jitter(
@@ -262,7 +249,7 @@ def start_prover(
     parts: tuple[int, int],
     cell: Cell = (),
     plant: RangedPlant | None = None,
-    begin: int = 0,
+    begin: Mapping[str, int] | None = None,
 ) -> StartProver:
     """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
 
@@ -361,7 +348,12 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
     return doublings
 
 
-def _bounds(period: Period, doublings: int) -> OutputBounds:
+def _bounds(period: Period, doublings: int, *, refuse_early: bool = False) -> OutputBounds:
+    """The right-hand sides.
+
+    Whether there is a fixed point does not depend on what the reference adds: with `refuse_early`
+    the levels of it are not looked at where there is none.
+    """
     moving = period.drive.jitter or needs_rates(period.drive)
     rows = output_rows(period) + (rate_rows(period) if moving else [])
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
@@ -370,8 +362,13 @@ def _bounds(period: Period, doublings: int) -> OutputBounds:
         raise NoCertificate(
             "the sampled loop is too large for its peak gains: fewer states or memories"
         )
-    gains = output_gains(period, rows, doublings)
-    return OutputBounds.of(period, rows, gains, partly_cancelled(period, rows, doublings))
+    past = PastRows.of_outputs(period, rows, doublings)
+    gains = output_gains(period, rows, doublings, past)
+    if refuse_early and not period.drive.jitter:
+        plain = OutputBounds.of(period, rows, gains)
+        if not plain.is_regional:
+            plain.search()
+    return OutputBounds.of(period, rows, gains, partly_cancelled(period, rows, doublings, past))
 
 
 def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:

@@ -126,6 +126,21 @@ def drive_in(system: System, delay: Any, cell: Cell, plant: RangedPlant | None =
     return (plant or RangedPlant(system)).drive(cell, delay)
 
 
+def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
+    """Raise NoCertificate where constants have ranges and a bound is a formula, or times move."""
+    drive = system.implementation
+    stated = {
+        "plant.uncertainty.bound": system.plant.uncertainty.bound is not None,
+        "implementation.jitter": drive is not None and drive.jitter > 0,
+    }
+    if cell and any(stated.values()):
+        what = " and ".join(name for name, is_stated in stated.items() if is_stated)
+        raise NoCertificate(
+            f"{what} {'is' if sum(stated.values()) == 1 else 'are'} not covered together with "
+            "ranges of constants: leave it or plant.ranges out"
+        )
+
+
 def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
     """(A | b | o)(p): the closed loop of `loop`, opened again.
 

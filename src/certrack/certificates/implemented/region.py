@@ -11,7 +11,7 @@ from dataclasses import replace
 from certrack.certificates.arithmetic import fraction
 from certrack.certificates.exact import from_text
 from certrack.certificates.implemented.proof import ImplementedProof
-from certrack.certificates.implemented.start_proof import X0
+from certrack.certificates.implemented.start_set import X0
 from certrack.certificates.region import StateBounds
 
 

@@ -38,13 +38,12 @@ from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widen
 from certrack.certificates.implemented.fixed_point import OutputBounds, uncertain_size
 from certrack.certificates.implemented.gains import (
     mean_magnitude,
-    powers_of_columns,
-    powers_of_rows,
     product_error,
     upper_number,
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, padded
+from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
 from certrack.certificates.implemented.superposition import (
     TwoParts,
     speed_of,
@@ -213,8 +212,7 @@ def _whole_periods(
             for row in rows
         ]
     )
-    balls, jumped = powers_of_columns(period.map, beside(of_period, identity(period.size)), inner)
-    table = Enclosed.of(balls)
+    table, jumped = powers_of_columns(period.map, beside(of_period, identity(period.size)), inner)
     heads, _ = powers_of_rows(jumped, past, doublings - inner)
     error = product_error(heads, table, count, block)
     parts = [

@@ -20,6 +20,7 @@ All numbers are floats rounded up, from balls.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,7 +144,7 @@ class FromStarts:
         self._set_in_cells(nw)
         self._set_constants(nw)
         self._growth = tuple(
-            np.array([[up(v) for v in values] for values in lists]).reshape(nw, width)
+            _all_up(lists).reshape(nw, width)
             for width, lists in (
                 (1, [(b.gamma,) for b in drive.uncertain]),
                 (1, [(b.beta,) for b in drive.uncertain]),
@@ -151,11 +152,21 @@ class FromStarts:
                 (n, [b.Delta for b in drive.uncertain]),
             )
         )
+        self._set_affine()
+
+    def _set_affine(self) -> None:
+        """B and b, where all that depends on the states in the running period is B X + b."""
+        _, beta, _, Delta = self._growth
+        self._affine: tuple[np.ndarray, np.ndarray] | None = None
+        if all(bound.gamma == 0 and bound.growing is None for bound in self.drive.uncertain):
+            of_states = self._running_w @ Delta + self._of_x
+            constant = self._running_w @ beta[:, 0]
+            self._affine = widened(of_states, len(beta) + 8), widened(constant, len(beta) + 8)
 
     def _set_in_cells(self, nw: int) -> None:
         rows = self.rows
         of_w, of_x, of_u, of_r = (
-            np.array([[up(v * row.share) for v in values(row)] for row in rows])
+            _all_up([[v * row.share for v in values(row)] for row in rows])
             for values in (
                 lambda row: row.in_cell.w,
                 lambda row: row.in_cell.x,
@@ -170,8 +181,8 @@ class FromStarts:
         """What is added that neither the start nor the states bear on, without jumps."""
         drive, gains = self.drive, self.gains
         sample = drive.Y[-1] if drive.lipschitz is None else drive.T / 2 * drive.lipschitz
-        bounds = np.array([up(v) for v in (drive.Y[-1], *drive.mu, sample, drive.eta, drive.Y[-1])])
-        still = np.array([[up(v) for v in steady(self.period, row)] for row in self.rows])
+        bounds = _all_up([[drive.Y[-1], *drive.mu, sample, drive.eta, drive.Y[-1]]])[0]
+        still = _all_up([steady(self.period, row) for row in self.rows])
         running = gains.running[:, nw:] @ bounds + self._of_r * bounds[0]
         running = running + still @ np.array([up(v) for v in drive.Y[:-1]])
         each = gains.lags[:, :, nw:] @ bounds
@@ -296,7 +307,11 @@ class FromStarts:
         return PeriodBounds(bounds, forced)
 
     def _image(self, base: np.ndarray, X: np.ndarray) -> np.ndarray:
-        values = base + self._running_w @ self.sizes(X) + self._of_x @ X
+        if self._affine is not None:
+            of_states, constant = self._affine
+            values = base + constant + of_states @ X
+        else:
+            values = base + self._running_w @ self.sizes(X) + self._of_x @ X
         return self.largest(widened(values, 2 * len(X) + 8))
 
     def later_image(
@@ -388,6 +403,13 @@ def _product_with(a: Enclosed, b: Enclosed) -> Enclosed:
     rounding = 2 * (size + 4) * ROUNDOFF * (p @ q)
     error = rounding + p @ b.error + a.error @ (q + b.error)
     return Enclosed(a.value @ b.value, widened(error, 2 * size + 8))
+
+
+def _all_up(table: Sequence[Sequence[Any]]) -> np.ndarray:
+    """:func:`up` of every entry of a table."""
+    width = len(table[0]) if table else 0
+    entries = [flint.arb(value) for row in table for value in row]
+    return Enclosed.of(flint.arb_mat(len(table), width, entries)).upper
 
 
 def up(value: Any) -> float:

@@ -6,7 +6,7 @@ say that the next input, too, is within the limits, none is ever met.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -14,8 +14,7 @@ from typing import Any
 import flint
 import numpy as np
 
-from certrack.certificates.arithmetic import exact_float, rational
-from certrack.certificates.balls import ball_of
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_down, from_text
 from certrack.certificates.implemented.drive import Drive
@@ -32,13 +31,15 @@ from certrack.certificates.implemented.start import (
     is_above,
     up,
 )
-from certrack.certificates.start import reference_at_start, states_at_start
-from certrack.references.base import jumps
+from certrack.certificates.implemented.start_set import (
+    ANY_PHASE,
+    FILE_PHASE,
+    POLYTOPE,
+    X0,
+    phase_of,
+    start_set_of,
+)
 from certrack.systems.system import System
-
-#: What a start proof is of, and which references at t = 0 it covers.
-X0, POLYTOPE = "x0", "polytope"
-FILE_PHASE, ANY_PHASE = "file", "any"
 
 #: 2^doublings periods are looked at one by one: from the first to the last of these.
 FEWEST_DOUBLINGS, MOST_DOUBLINGS = 5, 13
@@ -129,12 +130,19 @@ class StartProver:
     system : System
     frames : callable
         From a number of doublings to :class:`FromStarts`.
-    begin : int
-        The doublings that a search begins with, as another cell of the same ranges needs them.
+    begin : mapping, optional
+        The doublings that the search of each kind begins with, as another cell of the same ranges
+        needs them.
     """
 
-    def __init__(self, system: System, drive: Drive, frames: Any, begin: int = 0) -> None:
-        self._begin = max(begin, FEWEST_DOUBLINGS)
+    def __init__(
+        self,
+        system: System,
+        drive: Drive,
+        frames: Any,
+        begin: Mapping[str, int] | None = None,
+    ) -> None:
+        self._begin = begin or {}
         self.system, self.drive, self._frames = system, drive, frames
         self._by_doublings: dict[int, FromStarts | NoCertificate] = {}
         self._starts = cache(partial(start_set_of, system, drive))
@@ -188,7 +196,8 @@ class StartProver:
         region = self._region(phase) if of == POLYTOPE else ()
         starts = self._starts(phase, region)
         enough = self.within_later if of == POLYTOPE else lambda _: True
-        doublings, evidence = self.search(starts, enough)
+        begin = self._begin.get(of, FEWEST_DOUBLINGS)
+        doublings, evidence = self.search(starts, enough, begin)
         return StartProof(
             of,
             phase,
@@ -222,7 +231,12 @@ class StartProver:
         starts = start_set_of(self.system, self.drive, phase, origin)
         return min(self.search(starts, lambda _: True)[0] + 1, MOST_DOUBLINGS)
 
-    def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
+    def search(
+        self,
+        starts: Starts,
+        enough: Callable[[Evidence], bool],
+        begin: int = FEWEST_DOUBLINGS,
+    ) -> tuple[int, Evidence]:
         """The fewest doublings after which hardly anything that comes is larger than before.
 
         Parameters
@@ -230,6 +244,8 @@ class StartProver:
         starts : Starts
         enough : callable
             What else must hold of the bounds; the most doublings are taken if it never does.
+        begin : int
+            The fewest that are tried.
 
         Raises
         ------
@@ -237,7 +253,7 @@ class StartProver:
             If nothing is bounded for all time.
         """
         best, reason = None, ""
-        for doublings in range(self._begin, MOST_DOUBLINGS + 1):
+        for doublings in range(begin, MOST_DOUBLINGS + 1):
             try:
                 evidence = self.bounds(starts, doublings, 2 ** (doublings - 1), None)
             except NoCertificate as refusal:
@@ -317,57 +333,6 @@ class StartProver:
         peaks = np.maximum(run.bounds.max(axis=0), after)
         peaks[n + 1] = max(peaks[n + 1], up(starts.initial))
         return Evidence(frame, starts, transient, run, later, after, peaks)
-
-
-def phase_of(system: System, drive: Drive, of: str) -> str:
-    """Whether y_d(0) ... counts as the file has it: it must be known, and no member differ.
-
-    A box of starts is for any reference where it is all that is claimed.
-    """
-    population = system.varied
-    varied = (
-        is_regional(system) or population.amplitude is not None or population.frequency is not None
-    )
-    known = reference_at_start(system, drive.q)[1]
-    return FILE_PHASE if known and not (of == POLYTOPE and varied) else ANY_PHASE
-
-
-def start_set_of(
-    system: System, drive: Drive, phase: str, region: Sequence[tuple[str, str]]
-) -> Starts:
-    """x(0) and what else is there at t = 0.
-
-    Raises
-    ------
-    NoCertificate
-        If the start is not one that is covered.
-    """
-    implementation = system.implementation
-    assert implementation is not None
-    if implementation.offset:
-        raise NoCertificate("the first sample is not at t = 0")
-    if drive.jitter:
-        raise NoCertificate("with jitter nothing is proven of starts")
-    x0, known = states_at_start(system)
-    if not known:
-        raise NoCertificate("the states at t = 0 are not known exactly")
-    center, half = x0, [flint.arb(0)] * drive.n
-    if region:
-        ends = [(ball_of(float(low)), ball_of(float(high))) for low, high in region]
-        center = [(low + high) / 2 for low, high in ends]
-        half = [(high - low) / 2 for low, high in ends]
-    Y = tuple(reference_at_start(system, drive.q)[0]) if phase == FILE_PHASE else None
-    size, apart = _jumps(system, drive)
-    initial = ball_of(implementation.initial_input) - drive.offset
-    return Starts(tuple(center), tuple(half), Y, initial, size, apart)
-
-
-def _jumps(system: System, drive: Drive) -> tuple[Any | None, int | None]:
-    """Size of the jumps of y_d^(q+1), and the least periods between two; None for one or none."""
-    if drive.jumps is not None:
-        return drive.jumps[0], drive.periods_between_jumps
-    jumping = jumps(system.reference, drive.q + 1) if drive.jumps_once else None
-    return (None, None) if jumping is None else (exact_float(jumping[0], rational), None)
 
 
 def limit_met(system: System, drive: Drive, proof: StartProof) -> str:

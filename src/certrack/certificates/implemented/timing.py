@@ -38,14 +38,13 @@ from certrack.certificates.implemented.fixed_point import (
     uncertain_size,
 )
 from certrack.certificates.implemented.gains import (
-    powers_of_columns,
-    powers_of_rows,
     product_error,
     running_period,
     tail_gains,
 )
 from certrack.certificates.implemented.outputs import STATE_DEGREE, Row, state_rows
 from certrack.certificates.implemented.period import Period, padded
+from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
 from certrack.core.ball_matrices import above, absolute, beside, identity
 
 
@@ -179,8 +178,7 @@ def pulse_gains(period: Period, rows: Sequence[Row], doublings: int) -> np.ndarr
     nodes, bend = _pulse_columns(period, b, len(period.cells))
     heads = above(past, identity(period.size))
     columns = beside(nodes, identity(period.size))
-    balls, jumped = powers_of_columns(period.map, columns, inner)
-    table = Enclosed.of(balls)
+    table, jumped = powers_of_columns(period.map, columns, inner)
     rows_of, last = powers_of_rows(jumped, heads, doublings - inner)
     total, block, blocks = len(heads.tolist()), 2**inner, 2 ** (doublings - inner)
     error = product_error(rows_of, table, total, block)

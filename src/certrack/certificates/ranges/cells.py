@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from certrack.certificates.ranges.rational import Interval
@@ -33,6 +33,7 @@ def divided(
     report: Callable[[list[Cell]], None],
     enough: float = 0.0,
     moving: int = 0,
+    begin: Sequence[Cell] = (),
 ) -> list[Cell]:
     """Cells that fill a box.
 
@@ -52,9 +53,12 @@ def divided(
         The search ends where no cell has a larger bound.
     moving : int
         So many intervals, the last ones, are not cut: what they hold varies in time.
+    begin : sequence of Cell, optional
+        Cells that fill the box, to begin with; the box itself if left out.
     """
     sizes = [high - low for low, high in box]
-    cells, history = [box], [bound(box)]
+    cells = list(begin) or [box]
+    history = [math.inf] * (len(cells) - 1) + [max(map(bound, cells))]  # of so many cells
     while len(cells) < most and history[-1] > enough:
         before = history[len(history) // 2 - 1]
         if len(history) > 2 and math.isfinite(before) and history[-1] > (1 - worthwhile) * before:
@@ -64,6 +68,33 @@ def divided(
         history.append(max(map(bound, cells)))
         report(cells)
     return cells
+
+
+def coarsest(box: Cell, bounds: Mapping[Cell, float], enough: float, moving: int = 0) -> list[Cell]:
+    """The largest cells of a search whose bound was small enough, or that it did not cut.
+
+    Parameters
+    ----------
+    box, enough, moving
+        Of :func:`divided`.
+    bounds : mapping
+        Of every cell that was looked at.
+
+    Returns
+    -------
+    list of Cell
+        They fill the box.
+    """
+    sizes = [high - low for low, high in box]
+    chosen, left = [], [box]
+    while left:
+        cell = left.pop()
+        parts = halved(cell, sizes, moving)
+        if bounds.get(cell, math.inf) <= enough or any(part not in bounds for part in parts):
+            chosen.append(cell)
+        else:
+            left.extend(parts)
+    return chosen
 
 
 def halved(cell: Cell, sizes: Sequence[Any], moving: int = 0) -> tuple[Cell, Cell]:
