@@ -249,6 +249,19 @@ def test_powers_of_columns_and_rows():
     assert after[0] == pytest.approx([16, 65])
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_blocks_of_balls_lie_within_their_errors(axis):
+    """Also where radii are far above the roundings of floats, and of one entry only."""
+    balls = flint.arb_mat([[flint.arb(1) / 3, flint.arb(2, 1e-3)], [flint.arb(1e200), 0]])
+    found = Enclosed.of_blocks([balls, 2 * balls], axis)
+    both = np.concatenate([np.array(m.tolist(), dtype=object) for m in (balls, 2 * balls)], axis)
+    assert found.value.shape == both.shape
+    for ball, value, error in zip(both.flat, found.value.flat, found.error.flat, strict=True):
+        around = flint.arb(float(value), float(error))
+        assert around.contains(ball)
+    assert found.error[0, 1] >= 1e-3 and found.error[1, 1] < 1e-3 * 1e200
+
+
 def test_columns_of_a_table_by_their_names():
     table, jump = np.arange(16.0).reshape(2, 8), np.array([1.0, 2.0])
     found = gains_of(table, 2, 2, jump)

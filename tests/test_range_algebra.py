@@ -16,7 +16,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.proof import LEFT, MAX_DOUBLINGS, periods_needed
 from certrack.certificates.ranges import rational
 from certrack.certificates.ranges.boxes import names
-from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
+from certrack.certificates.ranges.cells import MAX_CORNERS, coarsest, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
@@ -382,3 +382,26 @@ def test_a_loop_on_the_edge_of_stability_is_not_stable_at_its_corners():
         assert stable_at_corners(prover, box) == stable
     prover.by_peak_gains = False
     assert stable_at_corners(prover, box)
+
+
+def test_a_search_begins_with_the_cells_of_another():
+    """A cell with no bound, or too large a one, is not asked for again."""
+    asked = []
+
+    def width(cell):
+        asked.append(cell)
+        return float(cell[0][1] - cell[0][0])
+
+    box = ((0.0, 1.0),)
+    divided(box, width, 8, 0.0, lambda _: None)
+    bounds = {cell: width(cell) for cell in tuple(asked)}
+    begin = coarsest(box, bounds, 0.25)
+    assert sorted(begin) == [((k / 4, (k + 1) / 4),) for k in range(4)]
+    assert sorted(coarsest(box, bounds, 0.0)) == [((k / 8, (k + 1) / 8),) for k in range(8)]
+    assert coarsest(box, bounds | {box: math.inf}, math.inf) == [box]
+    assert coarsest(box, {}, 0.25) == [box]
+    asked.clear()
+    assert divided(box, width, 8, 0.0, lambda _: None, enough=0.25, begin=begin) == begin
+    assert box not in asked
+    finer = divided(box, width, 8, 0.0, lambda _: None, enough=0.125, begin=begin)
+    assert sorted(finer) == [((k / 8, (k + 1) / 8),) for k in range(8)]
