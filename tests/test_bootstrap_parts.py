@@ -59,6 +59,7 @@ from certrack.certificates.bootstrap.regions import (
     Reached,
     after,
     box_of_states,
+    failed_ranges,
     failed_region,
     first_box,
     next_region,
@@ -343,6 +344,61 @@ def test_a_region_is_wider_than_what_is_known_and_not_much(stage):
             texts = tuple(map(str, pair))
             changed = replace(region, **{name: texts})
             assert "range" in failed_region(loop, ranges, stage.moved, changed)
+
+
+class Told(Ranges):
+    """Ranges that are told what they enclose, and remember what they are asked to prove."""
+
+    told, asked = (0.0, 0.0), ()
+
+    def bounds(self, chosen, box):
+        return self.told
+
+    def within(self, chosen, box, low, high):
+        self.asked = (*self.asked, (chosen, low, high))
+        return True
+
+
+@pytest.mark.parametrize("ends", [(3.0, 3.0), (-3.0, -3.0), (-1.0, 3.0), (-3.0, 1.0), (2.0, 3.0)])
+def test_ranges_leave_room_for_what_another_enclosure_rounds(stage, ends):
+    """ROUNDING_SHARE of both ends, of |k| times the largest |x|, and of what is beyond the middle:
+    each of them counts, whatever the signs of the ends; and what is claimed is what is checked.
+    """
+    loop, told = stage.loop, Told(formulas_of(stage.system), stage.loop)
+    told.told = ends
+    region = next_region(loop, told, stage.moved)
+    numbers = region.numbers()
+    place = box_of_states(loop, numbers.box)
+    through = np.abs(np.hstack([loop.Xe, loop.AB]).astype(float))
+    linear = float(np.abs(numbers.slope.astype(float)) @ through @ np.abs(place).max(axis=1))
+    remainder, spread = remainder_of(loop, numbers)
+    cases = [(numbers.drift, linear, 0), (numbers.remainder, linear, spread)]
+    free = [i for i, value in enumerate(told.constants) if value is None]
+    cases += [(numbers.regressor[i], 0.0, 0) for i in free]
+    for (low, high), slope, off in cases:
+        sizes = slope + float(off) + abs(ends[0]) + abs(ends[1])
+        inside = rational(ends[0]) - off, rational(ends[1]) + off
+        more = 1e-9 * sizes
+        more += 1e-6 * (float(inside[1] - inside[0]) + 2 * more)
+        for room in (inside[0] - low, high - inside[1]):
+            assert float(room) == pytest.approx(more, rel=1e-6, abs=2e-12 * sizes)
+    assert failed_ranges(loop, told, region) == ""
+    zeros = (rational(0),) * loop.r
+    drift = Combination((rational(1), *zeros), tuple(numbers.slope), rational(0))
+    expected = [(drift, numbers.drift, 0), (remainder, numbers.remainder, spread)]
+    *singles, first, last = told.asked
+    for (chosen, low, high), (combination, (least, most), off) in zip(
+        (first, last), expected, strict=True
+    ):
+        assert chosen == combination
+        assert least + off <= flint.fmpq(*low.as_integer_ratio())
+        assert flint.fmpq(*high.as_integer_ratio()) <= most - off
+        assert low == pytest.approx(float(least + off), rel=1e-15)
+        assert high == pytest.approx(float(most - off), rel=1e-15)
+    for (chosen, low, high), i in zip(singles, free, strict=True):
+        assert chosen.weights == tuple(rational(int(j == i + 1)) for j in range(loop.r + 1))
+        assert not any(chosen.slope) and chosen.constant == 0
+        assert (low, high) == pytest.approx(numbers.regressor[i].astype(float), rel=1e-15)
 
 
 @pytest.mark.parametrize("value", ["0.5", "-0.5", "0", "3", "1e-300", "-123456.789", "1/3"])
