@@ -523,7 +523,9 @@ def test_the_image_in_floats_is_its_formula():
         assert expected[row] == expected[image.outputs == k].max()
 
 
-@pytest.mark.parametrize("v", [(0.5, 2.0, 3.0), (4.0, 0.1, 0.0), (1e-3, 7.0, 1.0)])
+@pytest.mark.parametrize(
+    "v", [(0.5, 2.0, 3.0), (4.0, 0.1, 0.0), (1e-3, 7.0, 1.0), (0.02, 0.03, 0.1)]
+)
 def test_the_derivative_of_the_image_is_that_of_its_values(v):
     image, v, rows = float_image(), np.array(v), np.array([1, 2, 3, 5, 6])
     found, step = image.derivative(v, rows), 1e-6

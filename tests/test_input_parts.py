@@ -352,7 +352,9 @@ def test_as_many_starts_as_a_program_takes(n):
 
 
 def test_the_name_of_a_file_has_no_bounds():
-    with pytest.raises(InputError, match=r"^system: must be a System; got example1\. certrack\.load"):
+    with pytest.raises(
+        InputError, match=r"^system: must be a System; got example1\. certrack\.load"
+    ):
         certify_input("example1")
 
 

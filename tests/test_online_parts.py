@@ -636,6 +636,8 @@ def test_a_formula_that_fills_its_range_is_left_as_it_is():
     assert within_unit(-half) == 0
     for over in (half + sympy.Rational(3, 5) * sympy.sin(x), half * sympy.cos(x), 1 - sympy.cos(x)):
         assert within_unit(over) == sympy.Max(0, sympy.Min(1, over))
+    for free in (x, 2 * x**2 - 1, half + sympy.sin(x) / 4 + x / 9, sympy.exp(x), x * sympy.sin(x)):
+        assert within_unit(free) == sympy.Max(0, sympy.Min(1, free))
     two = half + sympy.sin(x) / 4 + sympy.cos(3 * x) / 4
     assert within_unit(two) == two
     assert within_unit(two + sympy.tanh(x) / 100) != two + sympy.tanh(x) / 100

@@ -446,6 +446,60 @@ def test_points_of_a_cell_share_their_function(small):
     assert prover.peak(far) is None and prover.vertices(far) is None
 
 
+def test_a_cell_with_more_points_than_a_proof_has_is_proven_at_its_centre(small, monkeypatch):
+    """One stage, checked as those of points are; as many points as a proof has are still points."""
+    _, prover = small
+    count = prover.loop.entries.count
+    monkeypatch.setattr("certrack.certificates.ranges.proofs.MAX_HULL_POINTS", count)
+    points = prover.vertices(prover.box)
+    assert len(prover.problems(prover.box)) == len(points.points) > 1
+    monkeypatch.setattr("certrack.certificates.ranges.proofs.MAX_HULL_POINTS", count - 1)
+    assert len(prover.problems(prover.box)) == 1
+    proof = prover.vertices(prover.box)
+    (stage,) = proof.points
+    assert prover.check(proof) == ""
+    assert "one at its centre" in prover.check(points)
+    assert "one at its centre" in prover.check(replace(proof, points=(stage, stage)))
+    assert "do not share" in prover.check(replace(proof, bound="0.001"))
+    lower = f"{float(proof.bound) * 0.99:.9g}"
+    assert prover.check(replace(proof, bound=lower, points=(replace(stage, bound=lower),)))
+    for i in range(len(stage.lam)):  # each function of the constants needs its multiplier
+        lam = tuple("0" if j == i else text for j, text in enumerate(stage.lam))
+        assert prover.check(replace(proof, points=(replace(stage, lam=lam),)))
+
+
+@pytest.mark.parametrize("name", ["small", "growth", "weights", "input gain and theta"])
+def test_the_problem_at_the_centre_has_an_input_for_each_function(name):
+    """q_k of the problem = C_k x + E_k (Y', 1), and e' and x are those of the centre, at any x, Y."""
+    prover = RangeProver(certrack.loads(VARIANTS[name]))
+    loop, channels = prover.loop, prover.coefficients.over(prover.box)
+    problem = prover._problems.at_centre(prover.coefficients, prover.box, None)
+    floats, c, rng = problem.in_floats(), loop.coordinates, np.random.default_rng(3)
+    n, count = loop.n, len(channels.rows)
+    assert problem.counts[0] == len(loop.uncertain.a) + count
+    assert len(problem.selections) == problem.counts[0]
+    A, B, rows, columns, centre = (
+        part.astype(float) for part in (c.A, c.B, channels.rows, channels.columns, channels.centre)
+    )
+    sizes = np.array([*map(float, loop.Y), 1.0])
+    for _ in range(3):
+        e, y = rng.normal(size=n), rng.uniform(-1, 1, len(sizes))
+        Y = y * sizes
+        Y[-1] = y[-1] = 1.0
+        x = np.linalg.solve(A, e + B @ Y[: c.q + 1])
+        acting = y[list(problem.derivatives)]
+        np.testing.assert_allclose(floats.Xe @ e + floats.Xy @ acting, x, rtol=1e-9, atol=1e-12)
+        whole = np.concatenate([x, Y])
+        for k, (S, T) in enumerate(problem.selections[-count:]):
+            assert S.shape == (1, n) and T.shape == (1, len(problem.derivatives))
+            q = S.astype(float) @ x + T.astype(float) @ acting
+            assert q == pytest.approx(rows[k] @ whole, rel=1e-9, abs=1e-12)
+        at_rest = floats.M @ e + floats.Uy @ acting
+        expected = A @ (centre @ whole) - B @ Y[1 : c.q + 2]
+        np.testing.assert_allclose(at_rest, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(floats.Ua[:, -count:], A @ columns, rtol=1e-12, atol=1e-12)
+
+
 def test_peak_gains_prove_nothing_with_estimates():
     prover = RangeProver(certrack.loads(VARIANTS["adaptive"]))
     assert not prover.by_peak_gains
