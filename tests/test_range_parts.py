@@ -470,7 +470,7 @@ def test_a_cell_with_more_points_than_a_proof_has_is_proven_at_its_centre(small,
 
 @pytest.mark.parametrize("name", ["small", "growth", "weights", "input gain and theta"])
 def test_the_problem_at_the_centre_has_an_input_for_each_function(name):
-    """q_k of the problem = C_k x + E_k (Y', 1), and e' and x are those of the centre, at any x, Y."""
+    """q_k of the problem = C_k x + E_k (Y', 1); e' and x are those of the centre, at any x, Y."""
     prover = RangeProver(certrack.loads(VARIANTS[name]))
     loop, channels = prover.loop, prover.coefficients.over(prover.box)
     problem = prover._problems.at_centre(prover.coefficients, prover.box, None)
