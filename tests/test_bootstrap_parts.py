@@ -190,6 +190,20 @@ def test_a_run_keeps_the_bound_of_a_small_plant():
     assert 0 < certrack.simulate(system).metrics.tail_error <= BOUNDS["plain"]
 
 
+def test_progress_is_the_bound_so_far(monkeypatch):
+    """After each stage what |e_1| keeps to in the long run; the last one is the certificate's."""
+    stage, told = first_stage("plain"), []
+    monkeypatch.setattr(search, "MOST_STAGES", 2)
+    stages = search.bootstrap(
+        stage.system, stage.problem, stage.proof, progress=lambda *parts: told.append(parts)
+    )
+    assert len(told) == len(stages) == 2
+    assert all(part[:2] == (0, None) for part in told)
+    bounds = [part[2] for part in told]
+    assert bounds == sorted(bounds, reverse=True)
+    assert bounds[-1] == pytest.approx(float(claimed_bound(stages)), rel=1e-12)
+
+
 def test_effort_says_what_is_left_out():
     system = SYSTEMS["plain"]
     assert "--effort default" in certify_bootstrap(system, "fast")[0].reason

@@ -626,6 +626,19 @@ def test_a_step_may_reach_an_end_and_not_pass_it():
     Online(c_n=3.0, schedule="0.5").check_period(1e9)  # no state, no step
 
 
+@pytest.mark.parametrize("kind", ["extremum", "spsa"])
+@pytest.mark.parametrize(
+    ("frequency", "speed", "rate", "fastest"),
+    [(0.5, 0.2, None, 10 * np.pi), (0.001, 3.0, None, 12.0), (0.001, 0.01, 5.0, 5.0)],
+)
+def test_a_step_follows_all_states_of_a_rule_that_seeks(kind, frequency, speed, rate, fastest):
+    """Ten times its frequency in 1/s, 2 pi each; four times its speed; and the stated rate."""
+    rule = Online(c_n=3.0, seek=kind, amplitude=0.1, frequency=frequency, speed=speed, rate=rate)
+    rule.check_period(0.999 / fastest)
+    with pytest.raises(InputError, match=f"must be at most {1 / fastest:.4g} s"):
+        rule.check_period(1.001 / fastest)
+
+
 def test_a_formula_that_fills_its_range_is_left_as_it_is():
     x, half = sympy.Symbol("x", real=True), sympy.Rational(1, 2)
     for inside in (half + half * sympy.sin(x), half - half * sympy.tanh(x), half):

@@ -468,10 +468,36 @@ def test_a_cell_with_more_points_than_a_proof_has_is_proven_at_its_centre(small,
         assert prover.check(replace(proof, points=(replace(stage, lam=lam),)))
 
 
-@pytest.mark.parametrize("name", ["small", "growth", "weights", "input gain and theta"])
+OFFSET = {"offset": VARIANTS["growth"].replace("d*tanh(x1)", "d")}
+
+
+@pytest.mark.parametrize("name", ["offset", "small", "growth", "weights", "input gain and theta"])
+def test_the_problem_at_a_point_is_the_loop_there(name):
+    """e' = A x' - B Y' of its matrix over (x, Y', 1) at each point, the constant included."""
+    prover = RangeProver(certrack.loads((VARIANTS | OFFSET)[name]))
+    loop, rng = prover.loop, np.random.default_rng(5)
+    c, problems = loop.coordinates, prover.problems(prover.box)
+    A, B = c.A.astype(float), c.B.astype(float)
+    sizes, acts = np.array([*map(float, loop.Y), 1.0]), False
+    for values, problem in zip(loop.entries.points(prover.box), problems, strict=True):
+        matrix, _ = loop.unpacked(values)
+        acts |= bool(matrix[:, -1].any())
+        assert len(sizes) - 1 in problem.derivatives or not matrix[:, -1].any()
+        floats = problem.in_floats()
+        e, y = rng.normal(size=loop.n), rng.uniform(-1, 1, len(sizes))
+        y[-1] = 1.0
+        Y = y * sizes
+        whole = np.concatenate([np.linalg.solve(A, e + B @ Y[: c.q + 1]), Y])
+        expected = A @ (matrix.astype(float) @ whole) - B @ Y[1 : c.q + 2]
+        found = floats.M @ e + floats.Uy @ y[list(problem.derivatives)]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert acts == (name == "offset")
+
+
+@pytest.mark.parametrize("name", ["offset", "small", "growth", "weights", "input gain and theta"])
 def test_the_problem_at_the_centre_has_an_input_for_each_function(name):
     """q_k of the problem = C_k x + E_k (Y', 1); e' and x are those of the centre, at any x, Y."""
-    prover = RangeProver(certrack.loads(VARIANTS[name]))
+    prover = RangeProver(certrack.loads((VARIANTS | OFFSET)[name]))
     loop, channels = prover.loop, prover.coefficients.over(prover.box)
     problem = prover._problems.at_centre(prover.coefficients, prover.box, None)
     floats, c, rng = problem.in_floats(), loop.coordinates, np.random.default_rng(3)
