@@ -90,6 +90,11 @@ def test_ends_that_are_the_same_need_nothing_for_their_speed():
         assert both.delta == pytest.approx(one.delta, rel=1e-5)
 
 
+def test_the_solver_says_nothing_where_results_are_printed(moving, capfd):
+    assert RateProgram([problem.in_floats() for problem in moving[1]], RATE).solve(0.4) is not None
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_higher_speed_costs_more_in_every_unit(moving):
     """The same optimum whatever the unit of time is scaled by, and a larger one for larger v."""
     problems = [problem.in_floats() for problem in moving[1]]

@@ -4,6 +4,7 @@ import itertools
 import math
 import re
 from dataclasses import replace
+from decimal import Decimal
 from fractions import Fraction
 from inspect import signature
 from types import SimpleNamespace
@@ -426,6 +427,10 @@ def test_cells_are_checked_one_by_one(small):
     assert "one interval for each range" in check_cells(system, [wide, cells[1]], bound)
     less = [replace(cell, bound=str(float(cell.bound) * 0.9)) for cell in cells]
     assert "smaller than the peak gains give" in check_cells(system, less, bound)
+    largest = peak_bound(prover.loop, prover.coefficients, ((low, middle),)).bound
+    for text, holds in ((largest, True), (math.nextafter(largest, 0), False)):
+        exactly = replace(cells[0], bound=f"{Decimal(text):f}")  # all digits of the float
+        assert (prover.check(exactly) == "") == holds
     assert "more than" in check_cells(system, cells * 513, bound)
 
 
