@@ -50,6 +50,7 @@ from certrack.certificates.bootstrap.ranges import (
     Combination,
     Ranges,
     _decimal_of,
+    _float_ends,
     largest_reach,
 )
 from certrack.certificates.bootstrap.rates import Rate, best_of_rates
@@ -59,6 +60,7 @@ from certrack.certificates.bootstrap.regions import (
     Reached,
     after,
     box_of_states,
+    failed_ranges,
     failed_region,
     first_box,
     next_region,
@@ -186,6 +188,20 @@ def test_small_plants_are_as_tight_as_they_were(name):
 def test_a_run_keeps_the_bound_of_a_small_plant():
     system = SYSTEMS["plain"]
     assert 0 < certrack.simulate(system).metrics.tail_error <= BOUNDS["plain"]
+
+
+def test_progress_is_the_bound_so_far(monkeypatch):
+    """After each stage what |e_1| keeps to in the long run; the last one is the certificate's."""
+    stage, told = first_stage("plain"), []
+    monkeypatch.setattr(search, "MOST_STAGES", 2)
+    stages = search.bootstrap(
+        stage.system, stage.problem, stage.proof, progress=lambda *parts: told.append(parts)
+    )
+    assert len(told) == len(stages) == 2
+    assert all(part[:2] == (0, None) for part in told)
+    bounds = [part[2] for part in told]
+    assert bounds == sorted(bounds, reverse=True)
+    assert bounds[-1] == pytest.approx(float(claimed_bound(stages)), rel=1e-12)
 
 
 def test_effort_says_what_is_left_out():
@@ -345,6 +361,61 @@ def test_a_region_is_wider_than_what_is_known_and_not_much(stage):
             assert "range" in failed_region(loop, ranges, stage.moved, changed)
 
 
+class Told(Ranges):
+    """Ranges that are told what they enclose, and remember what they are asked to prove."""
+
+    told, asked = (0.0, 0.0), ()
+
+    def bounds(self, chosen, box):
+        return self.told
+
+    def within(self, chosen, box, low, high):
+        self.asked = (*self.asked, (chosen, low, high))
+        return True
+
+
+@pytest.mark.parametrize("ends", [(3.0, 3.0), (-3.0, -3.0), (-1.0, 3.0), (-3.0, 1.0), (2.0, 3.0)])
+def test_ranges_leave_room_for_what_another_enclosure_rounds(stage, ends):
+    """ROUNDING_SHARE of both ends, of |k| times the largest |x|, and of what is beyond the middle:
+    each of them counts, whatever the signs of the ends; and what is claimed is what is checked.
+    """
+    loop, told = stage.loop, Told(formulas_of(stage.system), stage.loop)
+    told.told = ends
+    region = next_region(loop, told, stage.moved)
+    numbers = region.numbers()
+    place = box_of_states(loop, numbers.box)
+    through = np.abs(np.hstack([loop.Xe, loop.AB]).astype(float))
+    linear = float(np.abs(numbers.slope.astype(float)) @ through @ np.abs(place).max(axis=1))
+    remainder, spread = remainder_of(loop, numbers)
+    cases = [(numbers.drift, linear, 0), (numbers.remainder, linear, spread)]
+    free = [i for i, value in enumerate(told.constants) if value is None]
+    cases += [(numbers.regressor[i], 0.0, 0) for i in free]
+    for (low, high), slope, off in cases:
+        sizes = slope + float(off) + abs(ends[0]) + abs(ends[1])
+        inside = rational(ends[0]) - off, rational(ends[1]) + off
+        more = 1e-9 * sizes
+        more += 1e-6 * (float(inside[1] - inside[0]) + 2 * more)
+        for room in (inside[0] - low, high - inside[1]):
+            assert float(room) == pytest.approx(more, rel=1e-6, abs=2e-12 * sizes)
+    assert failed_ranges(loop, told, region) == ""
+    zeros = (rational(0),) * loop.r
+    drift = Combination((rational(1), *zeros), tuple(numbers.slope), rational(0))
+    expected = [(drift, numbers.drift, 0), (remainder, numbers.remainder, spread)]
+    *singles, first, last = told.asked
+    for (chosen, low, high), (combination, (least, most), off) in zip(
+        (first, last), expected, strict=True
+    ):
+        assert chosen == combination
+        assert least + off <= flint.fmpq(*low.as_integer_ratio())
+        assert flint.fmpq(*high.as_integer_ratio()) <= most - off
+        assert low == pytest.approx(float(least + off), rel=1e-15)
+        assert high == pytest.approx(float(most - off), rel=1e-15)
+    for (chosen, low, high), i in zip(singles, free, strict=True):
+        assert chosen.weights == tuple(rational(int(j == i + 1)) for j in range(loop.r + 1))
+        assert not any(chosen.slope) and chosen.constant == 0
+        assert (low, high) == pytest.approx(numbers.regressor[i].astype(float), rel=1e-15)
+
+
 @pytest.mark.parametrize("value", ["0.5", "-0.5", "0", "3", "1e-300", "-123456.789", "1/3"])
 def test_texts_of_an_interval_are_strictly_wider(value):
     """Also where it is a point that is a short decimal itself."""
@@ -465,6 +536,37 @@ def test_what_is_proven_cuts_the_box_and_never_widens_it():
     assert after(cut, [claims((2, 1, "7"))], rows).interval == cut.interval
     assert shrunk(known, found) == pytest.approx(1 - 2.5 / 4)
     assert shrunk(found, found) == 0
+
+
+def test_the_claim_is_the_worse_side_of_the_best_bounds_of_the_first_error():
+    """By their numbers, whatever their texts look like; of all stages and functions."""
+    first = SimpleNamespace(functions=(claims((0, 1, "10"), (1, 1, "0.1")), claims((0, 1, "9"))))
+    second = SimpleNamespace(functions=(claims((0, -1, "1.5e1"), (0, -1, "5e-1"), (1, -1, "99")),))
+    other = SimpleNamespace(functions=(claims((0, -1, "30"), (0, -1, "200")),))
+    assert claimed_bound((first, second)) == "9"
+    assert claimed_bound((second, first, other)) == "9"
+    assert claimed_bound((first, other)) == "30"
+    assert claimed_bound((other, first)) == "30"
+    for stages, both in (((first,), False), ((second,), False), ((first, second), True)):
+        assert bounds_error(stages) == both
+        if not both:
+            with pytest.raises(NoCertificate, match="both sides"):
+                claimed_bound(stages)
+
+
+def test_floats_of_a_ball_are_outside_of_it_and_near():
+    """Whatever the ball's digits are, and a point has floats below and above, too."""
+    rng = np.random.default_rng(2)
+    points = [flint.arb(v) for v in (0, 1, -3, 1e-300, -1e300)]
+    thirds = [flint.arb(flint.fmpq(int(p), 3)) for p in rng.integers(-(10**6), 10**6, 40)]
+    wide = [flint.arb(float(m), float(r)) for m, r in rng.normal(size=(40, 2)) ** 2]
+    for ball in (*points, *thirds, *wide):
+        low, high = _float_ends(ball)
+        assert flint.arb(low) < ball.lower() and flint.arb(high) > ball.upper()
+        width = float(ball.upper() - ball.lower())
+        assert high - low <= width + 1e-15 * max(abs(low), abs(high)) + 1e-320
+    for unknown in (flint.arb(0) / 0, flint.arb("inf"), flint.arb(0, "inf")):
+        assert _float_ends(unknown) == (-math.inf, math.inf)
 
 
 # The quadratic form -------------------------------------------------------------------------------
@@ -683,6 +785,48 @@ def test_a_sweep_is_tried_once_for_every_row(monkeypatch):
     ]
     second = [(True, (i, side), (), 7.0 + i) for i in rows for side in (1, -1)]
     assert asked == first + second
+
+
+@pytest.mark.parametrize(
+    ("size", "more", "known", "gain", "expected"),
+    [
+        (3, 2, True, 1.0, [False] + [True] * 5),  # 21 monomials of five variables
+        (4, 2, True, 1.0, [False, True]),  # 28 of six: few stages
+        (5, 2, True, 1.0, [False] * 6),  # 36 of seven: without the reference
+        (6, 2, False, 1.0, [False] * 2),
+        (6, 1, True, 1.0, [False] * 2),
+        (7, 1, False, 1.0, []),
+        (3, 2, False, 1.0, [False] * 6),
+        (3, 2, True, 0.0, [False, True]),  # nothing gained ends it, with all variables
+        (3, 2, False, 0.0, [False]),
+        (3, 2, True, 0.0151, [False] + [True] * 5),
+    ],
+)
+def test_stages_of_polynomials_are_as_many_as_there_is_time_for(
+    monkeypatch, size, more, known, gain, expected
+):
+    """The first without the reference, then with it where a program of all variables is solved."""
+    stage, met, room = first_stage("plain"), [], polynomial_stages_room
+
+    class Asked:
+        def __init__(self, loop, forms, floats, *, reference):
+            met.append(reference)
+
+        def bound(self, rows, wanted, rate, sweep):
+            return None
+
+    loop = SimpleNamespace(size=size, Y=np.ones(more + 1), in_floats=lambda: None)
+    for name, value in {
+        "RowSolver": Asked,
+        "knows_reference": lambda _: known,
+        "next_region": lambda *parts: stage.region,
+        "forms_of": lambda *parts: stage.forms,
+        "rows_of": lambda *parts: stage.rows,
+        "shrunk": lambda before, later: gain,
+    }.items():
+        monkeypatch.setattr(room, name, value)
+    assert polynomial_stages(loop, None, stage.known, (1.0,), lambda *parts: None) == []
+    assert met == expected
 
 
 def test_a_quartic_on_a_first_box_is_proven_and_better():
@@ -981,6 +1125,19 @@ def test_an_alpha_that_contradicts_itself_is_believed_anew(slope, expected):
     assert rate.alpha == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("slope", "contradicting"), [(-1.0, 2.0), (1.0, 4.0)])
+def test_where_no_bound_was_is_forgotten_with_the_first_bound(slope, contradicting):
+    """It tells on which side of the first bound there is none, and nothing of later programs."""
+    rate = Rate(1.0 if slope < 0 else 9.0)
+    rate.met(None)
+    rate.alpha = 3.0
+    rate.met(slope)
+    rate.alpha = contradicting
+    rate.met(-slope)
+    assert not rate.surrounded
+    assert rate.alpha == pytest.approx(contradicting * (2.5 if slope > 0 else 1 / 2.5))
+
+
 def test_a_sweep_is_gone_on_from_its_best():
     program, rate = Parabola(3.0), Rate(0.5)
     found = best_of_rates(program, np.zeros((1, 2)), rate, 0, (0.1, 1.0, 4.0, 20.0))
@@ -1035,6 +1192,57 @@ def test_a_file_holds_as_many_parts_as_it_may_and_no_more():
     for pair in (["1"], ["1", "2", "3"], "12", 1):
         with pytest.raises(InputError, match="proof"):
             bootstrap_stages([stage | {"region": stage["region"] | {"drift": pair}}])
+
+
+def written_polynomial():
+    """A function of degree 4, as a file has it; nothing is proven by it."""
+    kinds = ("squares", "inputs", "sectors", "majorants", "holds", "grams")
+    vectors = {"alpha": "1", "W": ["1"], "mu": ["0"], **{name: [["0"]] for name in kinds}}
+    claims = written_stage()["functions"][0]["claims"]
+    return {"degree": 4, "reference": False, **vectors, "claims": claims}
+
+
+def test_parts_of_a_file_have_their_fields_and_no_others():
+    """Stage, region, function of either kind and claim: none may be missing, and none unknown."""
+    stage, polynomial = written_stage(), written_polynomial()
+    region, (function,) = stage["region"], stage["functions"]
+    (claim,) = function["claims"]
+
+    def of(**changes):
+        return stage | changes
+
+    parts = (
+        (stage, lambda part: part),
+        (region, lambda part: of(region=part)),
+        (function, lambda part: of(functions=[part])),
+        (polynomial, lambda part: of(functions=[part])),
+        (claim, lambda part: of(functions=[function | {"claims": [part]}])),
+        (claim, lambda part: of(functions=[polynomial | {"claims": [part]}])),
+    )
+    for part, inside in parts:
+        assert len(bootstrap_stages([inside(part)])) == 1
+        less = [{k: v for k, v in part.items() if k != name} for name in part if name != "degree"]
+        for wrong in (part | {"note": "1"}, *less, list(part.items()), 3):
+            with pytest.raises(InputError, match="must have [a-zA-Z]+, [a-zA-Z]+"):
+                bootstrap_stages([inside(wrong)])
+
+
+def test_entries_of_a_file_are_of_their_types():
+    """Whole numbers, true or false, and decimal texts; nothing is converted."""
+    stage, polynomial = written_stage(), written_polynomial()
+    (function,) = stage["functions"]
+    (claim,) = function["claims"]
+    wrong = [polynomial | {name: value} for name in ("degree",) for value in (4.0, "4", True)]
+    wrong += [polynomial | {"reference": value} for value in (0, 1, "false", None)]
+    for name in ("error", "side"):
+        wrong += [function | {"claims": [claim | {name: v}]} for v in (True, 1.0, "1")]
+    for name in ("scale", "bound"):
+        wrong += [function | {"claims": [claim | {name: v}]} for v in (1, None, "x", "1/0")]
+    wrong += [function | {name: v} for name in ("alpha",) for v in (1, None, "x")]
+    wrong += [polynomial | {"W": value} for value in ("1", {"1": 1}, [1], [["1"]])]
+    for entry in wrong:
+        with pytest.raises(InputError, match="^proof: must hold decimal texts"):
+            bootstrap_stages([stage | {"functions": [entry]}])
 
 
 def test_what_a_file_says_is_what_was_proven():

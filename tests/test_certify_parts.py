@@ -5,16 +5,21 @@ import math
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from test_range_algebra import FIRST_ORDER
 
 import certrack
 from certrack.certificates import cascade, methods, strength
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import Certificate, missing
 from certrack.certificates.exact import Proof, from_text
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.methods import RANGE_KINDS, Methods, _why_none, certify_peak, smallest
 from certrack.certificates.premise import Premise
+from certrack.certificates.sampling import RAY_POINTS, Points, nearest_failure
 from certrack.certificates.scope import has_ranges
+from certrack.certificates.semidefinite import fastest_rate
 
 certify_module = importlib.import_module("certrack.certificates.certify")
 
@@ -323,6 +328,55 @@ def test_the_edge_of_what_is_provable_is_bisected(monkeypatch, edge, published):
     problem.counts = (1, 0, 0)
     least = max(published if 0 < published <= edge else 0.0, strength.SMALLEST_PART * 100)
     assert strength.critical_semidefinite(None) == ("strong", least)
+
+
+def test_one_program_of_the_stated_strength_is_asked_and_its_answer_proven(monkeypatch):
+    """That of 1 times the stated tau; then what it finds, less and less, until exact proof."""
+    exact = error_problem(certrack.load("dual-motor-lean"), rational)
+    asked, unproven = [], 1
+
+    def largest(unit, slow):
+        np.testing.assert_array_equal(unit.Ua, exact.Ua.astype(float))
+        assert unit.counts == (exact.counts[0], 0, 0)
+        assert slow == min(strength.SLOW_RATE * fastest_rate(unit), 0.01)
+        return SimpleNamespace(strength=4.0, solution="found")
+
+    def prove(scaled, solution, back_off):
+        asked.append(float(scaled.Ua[0, 0] / exact.Ua[0, 0]) if exact.Ua[0, 0] else None)
+        assert solution == "found"
+        return "proof" if len(asked) > unproven else None
+
+    monkeypatch.setattr(strength, "largest_strength", largest)
+    monkeypatch.setattr(strength, "prove", prove)
+    parts = strength.BELOW_THE_LARGEST
+    assert strength._by_one_program(exact, 0.0, 0.01) == 4.0 * (1 - parts[1])
+    assert len(asked) == 2
+    assert strength._by_one_program(exact, 4.0, 0.01) is None
+    unproven = math.inf
+    assert strength._by_one_program(exact, 0.0, 0.01) is None
+    monkeypatch.setattr(strength, "largest_strength", lambda *_: None)
+    assert strength._by_one_program(exact, 0.0, 0.01) is None
+
+
+@pytest.mark.parametrize("place", [0, 0.5, 1, 1.5, 2.7, 200.3, 399.5])
+def test_the_nearest_failure_of_a_ray_is_bisected(place):
+    """What fails does so from some ||x|| on: at zero, before the first that is tried, behind it."""
+    points = Points(np.arange(3.0), np.array([[3.0, 300.0, 60.0], [4.0, 400.0, 80.0]]))
+    tried = [0.0, *np.geomspace(1e-3, 100.0, RAY_POINTS)]  # of 100, the smallest that fails
+    k = int(place)
+    edge = tried[k] + (place - k) * (tried[k + 1] - tried[k])
+
+    def fails(some):
+        return (some.norm >= edge) & (some.norm > 0 if place else some.norm >= 0) & (some.t > 0)
+
+    found = nearest_failure(points, fails)
+    assert found.t.tolist() == [2.0] and found.x.shape == (2, 1)
+    least = 0.0 if place == 0 else 1e-3 if place <= 1 else edge
+    assert found.norm[0] == pytest.approx(least, rel=1e-9)
+    assert found.x[:, 0] == pytest.approx([0.6 * least, 0.8 * least], rel=1e-9)
+    assert nearest_failure(points, lambda some: some.norm < 0) is None
+    alone = nearest_failure(points, lambda some: (some.norm == 100.0) & (len(some.t) == 3))
+    assert alone.norm.tolist() == [100.0]  # the ray has none
 
 
 def test_ranges_of_what_a_law_with_integral_action_knows_count():

@@ -94,13 +94,13 @@ def test_the_largest_w_of_a_box():
 
 @pytest.mark.parametrize("lipschitz", [None, q("0.5")])
 @pytest.mark.parametrize("jumps", [None, (q(9), q(1))])
-@pytest.mark.parametrize("reference", [None, np.array([1e3, 20.0])])
+@pytest.mark.parametrize("reference", [None, np.array([1e3, 16.0])])
 def test_the_bounds_of_rows_from_their_gains(monkeypatch, lipschitz, jumps, reference):
-    """Two rows, Y = (2, 3), T = 1/4: what each input may do, and what is added within a cell."""
-    at_rest = {0: [q(5)], 1: [q(7)]}
+    """Two rows, Y = (2, 1.5, 3), T = 1/4: what each input does, and what is added in a cell."""
+    at_rest = {0: [q(5), q(4)], 1: [q(7), q(1)]}
     monkeypatch.setattr(fixed_point, "steady", lambda period, row: at_rest[row.output])
     drive = SimpleNamespace(
-        Y=[q(2), q(3)], mu=[q(4)], eta=q(6), T=q("0.25"), lipschitz=lipschitz, jumps=jumps
+        Y=[q(2), q("1.5"), q(3)], mu=[q(4)], eta=q(6), T=q("0.25"), lipschitz=lipschitz, jumps=jumps
     )
     drive.uncertain = ("w",)
     gains = SimpleNamespace(
@@ -122,7 +122,7 @@ def test_the_bounds_of_rows_from_their_gains(monkeypatch, lipschitz, jumps, refe
     ]
     found = OutputBounds.of(SimpleNamespace(drive=drive), rows, gains, reference)
     sample = 3 if lipschitz is None else 0.25 / 2 * 0.5
-    past = np.array([5 * 2 + 0.5 * 3, 7 * 2 + 0.25 * 3])
+    past = np.array([5 * 2 + 4 * 1.5 + 0.5 * 3, 7 * 2 + 1.5 + 0.25 * 3])
     past = past if reference is None else np.minimum(past, reference)
     expected = past + np.array([2 + 24, 4 + 17]) * 3 + np.array([0.75, 1.5]) * 4
     expected = expected + np.array([8, 16]) * sample + np.array([0.125, 3]) * 6
@@ -523,7 +523,9 @@ def test_the_image_in_floats_is_its_formula():
         assert expected[row] == expected[image.outputs == k].max()
 
 
-@pytest.mark.parametrize("v", [(0.5, 2.0, 3.0), (4.0, 0.1, 0.0), (1e-3, 7.0, 1.0)])
+@pytest.mark.parametrize(
+    "v", [(0.5, 2.0, 3.0), (4.0, 0.1, 0.0), (1e-3, 7.0, 1.0), (0.02, 0.03, 0.1)]
+)
 def test_the_derivative_of_the_image_is_that_of_its_values(v):
     image, v, rows = float_image(), np.array(v), np.array([1, 2, 3, 5, 6])
     found, step = image.derivative(v, rows), 1e-6

@@ -27,6 +27,7 @@ from certrack.certificates.mean_squares import RUN_PARTS, mean_squares
 from certrack.certificates.semidefinite import fastest_rate
 from certrack.certificates.start import starting_energy
 from certrack.certificates.tube import starts_of
+from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 
 #: With a theta that is known, a constant drift and a gain that is not 1.
@@ -348,6 +349,13 @@ def test_as_many_starts_as_a_program_takes(n):
     else:
         with pytest.raises(NoCertificate, match="more than 64 corners"):
             room._errors(system, starts)
+
+
+def test_the_name_of_a_file_has_no_bounds():
+    with pytest.raises(
+        InputError, match=r"^system: must be a System; got example1\. certrack\.load"
+    ):
+        certify_input("example1")
 
 
 def test_what_is_missing_is_named_and_nothing_else():

@@ -90,6 +90,11 @@ def test_ends_that_are_the_same_need_nothing_for_their_speed():
         assert both.delta == pytest.approx(one.delta, rel=1e-5)
 
 
+def test_the_solver_says_nothing_where_results_are_printed(moving, capfd):
+    assert RateProgram([problem.in_floats() for problem in moving[1]], RATE).solve(0.4) is not None
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_higher_speed_costs_more_in_every_unit(moving):
     """The same optimum whatever the unit of time is scaled by, and a larger one for larger v."""
     problems = [problem.in_floats() for problem in moving[1]]
@@ -626,6 +631,19 @@ def test_a_step_may_reach_an_end_and_not_pass_it():
     Online(c_n=3.0, schedule="0.5").check_period(1e9)  # no state, no step
 
 
+@pytest.mark.parametrize("kind", ["extremum", "spsa"])
+@pytest.mark.parametrize(
+    ("frequency", "speed", "rate", "fastest"),
+    [(0.5, 0.2, None, 10 * np.pi), (0.001, 3.0, None, 12.0), (0.001, 0.01, 5.0, 5.0)],
+)
+def test_a_step_follows_all_states_of_a_rule_that_seeks(kind, frequency, speed, rate, fastest):
+    """Ten times its frequency in 1/s, 2 pi each; four times its speed; and the stated rate."""
+    rule = Online(c_n=3.0, seek=kind, amplitude=0.1, frequency=frequency, speed=speed, rate=rate)
+    rule.check_period(0.999 / fastest)
+    with pytest.raises(InputError, match=f"must be at most {1 / fastest:.4g} s"):
+        rule.check_period(1.001 / fastest)
+
+
 def test_a_formula_that_fills_its_range_is_left_as_it_is():
     x, half = sympy.Symbol("x", real=True), sympy.Rational(1, 2)
     for inside in (half + half * sympy.sin(x), half - half * sympy.tanh(x), half):
@@ -636,6 +654,8 @@ def test_a_formula_that_fills_its_range_is_left_as_it_is():
     assert within_unit(-half) == 0
     for over in (half + sympy.Rational(3, 5) * sympy.sin(x), half * sympy.cos(x), 1 - sympy.cos(x)):
         assert within_unit(over) == sympy.Max(0, sympy.Min(1, over))
+    for free in (x, 2 * x**2 - 1, half + sympy.sin(x) / 4 + x / 9, sympy.exp(x), x * sympy.sin(x)):
+        assert within_unit(free) == sympy.Max(0, sympy.Min(1, free))
     two = half + sympy.sin(x) / 4 + sympy.cos(3 * x) / 4
     assert within_unit(two) == two
     assert within_unit(two + sympy.tanh(x) / 100) != two + sympy.tanh(x) / 100

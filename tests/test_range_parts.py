@@ -4,6 +4,7 @@ import itertools
 import math
 import re
 from dataclasses import replace
+from decimal import Decimal
 from fractions import Fraction
 from inspect import signature
 from types import SimpleNamespace
@@ -426,6 +427,10 @@ def test_cells_are_checked_one_by_one(small):
     assert "one interval for each range" in check_cells(system, [wide, cells[1]], bound)
     less = [replace(cell, bound=str(float(cell.bound) * 0.9)) for cell in cells]
     assert "smaller than the peak gains give" in check_cells(system, less, bound)
+    largest = peak_bound(prover.loop, prover.coefficients, ((low, middle),)).bound
+    for text, holds in ((largest, True), (math.nextafter(largest, 0), False)):
+        exactly = replace(cells[0], bound=f"{Decimal(text):f}")  # all digits of the float
+        assert (prover.check(exactly) == "") == holds
     assert "more than" in check_cells(system, cells * 513, bound)
 
 
@@ -444,6 +449,86 @@ def test_points_of_a_cell_share_their_function(small):
     far = ((exact("0.001"), exact("900")),)
     assert not prover.holds(far) and not prover.promises(far)
     assert prover.peak(far) is None and prover.vertices(far) is None
+
+
+def test_a_cell_with_more_points_than_a_proof_has_is_proven_at_its_centre(small, monkeypatch):
+    """One stage, checked as those of points are; as many points as a proof has are still points."""
+    _, prover = small
+    count = prover.loop.entries.count
+    monkeypatch.setattr("certrack.certificates.ranges.proofs.MAX_HULL_POINTS", count)
+    points = prover.vertices(prover.box)
+    assert len(prover.problems(prover.box)) == len(points.points) > 1
+    monkeypatch.setattr("certrack.certificates.ranges.proofs.MAX_HULL_POINTS", count - 1)
+    assert len(prover.problems(prover.box)) == 1
+    proof = prover.vertices(prover.box)
+    (stage,) = proof.points
+    assert prover.check(proof) == ""
+    assert "one at its centre" in prover.check(points)
+    assert "one at its centre" in prover.check(replace(proof, points=(stage, stage)))
+    assert "do not share" in prover.check(replace(proof, bound="0.001"))
+    lower = f"{float(proof.bound) * 0.99:.9g}"
+    assert prover.check(replace(proof, bound=lower, points=(replace(stage, bound=lower),)))
+    for i in range(len(stage.lam)):  # each function of the constants needs its multiplier
+        lam = tuple("0" if j == i else text for j, text in enumerate(stage.lam))
+        assert prover.check(replace(proof, points=(replace(stage, lam=lam),)))
+
+
+OFFSET = {"offset": VARIANTS["growth"].replace("d*tanh(x1)", "d")}
+
+
+@pytest.mark.parametrize("name", ["offset", "small", "growth", "weights", "input gain and theta"])
+def test_the_problem_at_a_point_is_the_loop_there(name):
+    """e' = A x' - B Y' of its matrix over (x, Y', 1) at each point, the constant included."""
+    prover = RangeProver(certrack.loads((VARIANTS | OFFSET)[name]))
+    loop, rng = prover.loop, np.random.default_rng(5)
+    c, problems = loop.coordinates, prover.problems(prover.box)
+    A, B = c.A.astype(float), c.B.astype(float)
+    sizes, acts = np.array([*map(float, loop.Y), 1.0]), False
+    for values, problem in zip(loop.entries.points(prover.box), problems, strict=True):
+        matrix, _ = loop.unpacked(values)
+        acts |= bool(matrix[:, -1].any())
+        assert len(sizes) - 1 in problem.derivatives or not matrix[:, -1].any()
+        floats = problem.in_floats()
+        e, y = rng.normal(size=loop.n), rng.uniform(-1, 1, len(sizes))
+        y[-1] = 1.0
+        Y = y * sizes
+        whole = np.concatenate([np.linalg.solve(A, e + B @ Y[: c.q + 1]), Y])
+        expected = A @ (matrix.astype(float) @ whole) - B @ Y[1 : c.q + 2]
+        found = floats.M @ e + floats.Uy @ y[list(problem.derivatives)]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert acts == (name == "offset")
+
+
+@pytest.mark.parametrize("name", ["offset", "small", "growth", "weights", "input gain and theta"])
+def test_the_problem_at_the_centre_has_an_input_for_each_function(name):
+    """q_k of the problem = C_k x + E_k (Y', 1); e' and x are those of the centre, at any x, Y."""
+    prover = RangeProver(certrack.loads((VARIANTS | OFFSET)[name]))
+    loop, channels = prover.loop, prover.coefficients.over(prover.box)
+    problem = prover._problems.at_centre(prover.coefficients, prover.box, None)
+    floats, c, rng = problem.in_floats(), loop.coordinates, np.random.default_rng(3)
+    n, count = loop.n, len(channels.rows)
+    assert problem.counts[0] == len(loop.uncertain.a) + count
+    assert len(problem.selections) == problem.counts[0]
+    A, B, rows, columns, centre = (
+        part.astype(float) for part in (c.A, c.B, channels.rows, channels.columns, channels.centre)
+    )
+    sizes = np.array([*map(float, loop.Y), 1.0])
+    for _ in range(3):
+        e, y = rng.normal(size=n), rng.uniform(-1, 1, len(sizes))
+        Y = y * sizes
+        Y[-1] = y[-1] = 1.0
+        x = np.linalg.solve(A, e + B @ Y[: c.q + 1])
+        acting = y[list(problem.derivatives)]
+        np.testing.assert_allclose(floats.Xe @ e + floats.Xy @ acting, x, rtol=1e-9, atol=1e-12)
+        whole = np.concatenate([x, Y])
+        for k, (S, T) in enumerate(problem.selections[-count:]):
+            assert S.shape == (1, n) and T.shape == (1, len(problem.derivatives))
+            q = S.astype(float) @ x + T.astype(float) @ acting
+            assert q == pytest.approx(rows[k] @ whole, rel=1e-9, abs=1e-12)
+        at_rest = floats.M @ e + floats.Uy @ acting
+        expected = A @ (centre @ whole) - B @ Y[1 : c.q + 2]
+        np.testing.assert_allclose(at_rest, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(floats.Ua[:, -count:], A @ columns, rtol=1e-12, atol=1e-12)
 
 
 def test_peak_gains_prove_nothing_with_estimates():

@@ -404,6 +404,18 @@ def test_jumps_and_slopes_of_a_triangle():
     assert wave.breaks(0.0, 4.0) == pytest.approx([1, 2, 3])
 
 
+@pytest.mark.parametrize("period", [None, 2.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_jump_has_room_for_the_roundings_of_the_piece_before_it(period, turned):
+    """y = 1e9 (s^2 - s^3) ends with y' = 2e9 - 3e9 and begins with 0; its neighbours rest."""
+    pieces = ((0.0, 0.0, 1e9, -1e9), (0.0, 0.0, 0.0, 0.0))
+    knots = (0.0, 1.0, 2.0)
+    wave = PiecewiseReference(knots, pieces[::-1] if turned else pieces, 1, period)
+    size, _ = wave.jumps(1)
+    assert size - 1e9 == pytest.approx(polynomials.ROUNDINGS * 5e9, rel=0.05)
+    assert wave.jumps(0) is None
+
+
 def test_jumps_of_a_profile_that_holds():
     once = PiecewiseReference((1.0, 2.0, 4.0), ((0, 0, 3, 0), (3, 6, -1.5, 0)), 1)
     assert once.jumps(1) is None  # y' is 0, from 0 to 6, from 6 to 0, 0

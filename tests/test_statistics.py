@@ -17,6 +17,7 @@ from certrack.studies.ensembles.statistics import (
     Bands,
     Statistics,
     Tally,
+    _distinct,
     bin_values,
     binomial_interval,
 )
@@ -117,6 +118,16 @@ def test_tallies_merge_in_any_order(spread):
     assert np.all(np.diff(whole.keys) > 0)
 
 
+@pytest.mark.parametrize(
+    "keys", [[], [7], [-5, 3, -5, 2], [10**15, 10**15 + 2, 10**15], [-(10**15), 10**15]]
+)
+def test_different_keys_are_counted_wherever_they_lie(keys):
+    """None at all, close together or far apart, of either sign."""
+    found, counts = _distinct(np.array(keys, dtype=np.int64))
+    assert found.tolist() == sorted(set(keys))
+    assert counts.tolist() == [keys.count(key) for key in found]
+
+
 def test_the_worst_members_are_the_largest_and_the_earliest():
     values = np.array([5.0, 1.0, 9.0, 9.0, math.inf, *np.linspace(0, 4, 20)])
     found = statistics(values, first=100).worst
@@ -125,7 +136,7 @@ def test_the_worst_members_are_the_largest_and_the_earliest():
     few = statistics([2.0, 3.0]).worst
     assert few == [(3.0, 1), (2.0, 0)]
     ties = statistics([1.0] * 15).worst
-    assert ties == [(1.0, i) for i in range(WORST_MEMBERS)]
+    assert ties == [(1.0, i) for i in range(10)]  # as many as the page says
 
 
 def test_statistics_merge_as_if_they_were_one():
