@@ -86,7 +86,7 @@ export class Form {
     this.parent.querySelectorAll(".wrong-note").forEach((said) => said.remove());
     if (this.stale) {
       this.stale.hidden = !problem;
-      write(this.stale, problem ? `${problem.message} The page shows the last good design until this is mended; go on filling in.` : "");
+      write(this.stale, problem ? `${problem.message.replace(/\.?$/, ".")} The page shows the last good design until this is mended; go on filling in.` : "");
     }
     this.parent.querySelectorAll("[aria-invalid]").forEach((input) => input.removeAttribute("aria-invalid"));
     if (!problem?.key) return;
