@@ -99,6 +99,7 @@ def test_a_message_that_is_none_is_refused_in_words(text, says):
 def test_a_move_is_read():
     move = parse_message(json.dumps(SET | {"window": [1, 2.5], "resting": True}))
     assert move == GainMove(1, 0, 1, {"law.c[0]": 2.0}, (1.0, 2.5), 300, resting=True)
+    assert parse_message(json.dumps(SET | {"law": True})).law and not move.law
 
 
 # a session's mailbox
@@ -137,6 +138,14 @@ def test_where_the_gesture_ends_the_proof_begins_and_is_made_once():
     session.moved(moved(2, view=1))
     assert session.next_job("exact", math.inf) is None
     assert [session.next_job("bound", math.inf)["do"] for _ in range(2)] == ["text", "run"]
+
+
+def test_formulas_are_computed_only_where_the_page_shows_them():
+    for law, asked in ((False, ["text"]), (True, ["text", "law"])):
+        session = opened_session()
+        session.moved(moved(2, resting=True, law=law))
+        jobs = iter(lambda s=session: s.next_job("bound", math.inf), None)
+        assert [job["do"] for job in jobs] == asked
 
 
 def test_the_newest_move_wins_and_the_bound_is_of_what_is_answered():

@@ -137,6 +137,24 @@ def test_text_and_form_follow_each_other_and_errors_are_marked(shown):
     wait(page, "lab.state.system.duration === 20")
 
 
+def test_the_form_says_what_is_wrong_at_the_field_and_takes_new_constants(shown):
+    page = shown()
+    page.click("#tab-system")
+    field = page.locator('[data-path="plant.drift"]')
+    field.fill("stiff*x1**2*x2")
+    field.press("Enter")
+    wait(page, "lab.state.textProblem !== null")
+    assert "unknown name 'stiff'" in page.inner_text(".wrong-note")
+    assert "unknown name 'stiff'" in page.inner_text(".stale-note")
+    page.fill("#constant-name", "stiff")
+    page.fill("#constant-value", "2")
+    page.press("#constant-value", "Enter")
+    wait(page, "lab.state.textProblem === null && lab.state.text.includes('stiff = 2')")
+    at_rest(page)
+    assert "stiff" in page.evaluate("lab.state.system.form[0].fields.map((field) => field.name)")
+    assert not page.locator(".wrong-note").count()
+
+
 def test_a_contradicted_premise_strikes_the_number(shown):
     page = shown()
     page.click("#tab-file")
@@ -155,8 +173,9 @@ def test_a_contradicted_premise_strikes_the_number(shown):
 
 def test_the_law_is_shown_as_formulas_and_a_rise_of_the_bound_is_explained(shown):
     page = shown()
-    wait(page, "document.querySelectorAll('#law .formula').length === 9")
+    assert not page.evaluate("document.querySelectorAll('#law .formula').length")
     page.click("#law-card summary")
+    wait(page, "document.querySelectorAll('#law .formula').length === 9")
     law = page.locator("#law .formula")
     texts = [row.get_attribute("aria-label") for row in law.locator("[role=math]").all()]
     assert tuple(texts[2:]) == certrack.design(certrack.load("example1")).formulas

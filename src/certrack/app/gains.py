@@ -36,6 +36,14 @@ SYMBOLS = {
     "integral": "c0",
 }
 
+#: What the paper calls fields whose key has another name.
+PAPER_SYMBOLS = {
+    "Gamma": "\N{GREEK CAPITAL LETTER GAMMA}",
+    "gain_rate": "\N{GREEK SMALL LETTER GAMMA}\N{COMBINING MACRON}",
+    "leak_gain": "\N{GREEK SMALL LETTER GAMMA}\N{COMBINING MACRON}1",
+    "leak_theta": "\N{GREEK SMALL LETTER GAMMA}\N{COMBINING MACRON}2",
+}
+
 #: Units that the keys do not state, because they follow from others.
 UNITS = {"leak_gain": "1/s", "leak_theta": "1/s"}
 
@@ -132,7 +140,9 @@ def _gain(path: str, name: str, index: tuple[int, ...], value: float, key: Key, 
         label=symbol if digits == "1" and name in ("Gamma", "theta0") else symbol + digits,
         value=value,
         unit=key.unit or UNITS.get(name, ""),
-        help=key.help,
+        help=f"{key.help} ({PAPER_SYMBOLS[name]} of the paper)"
+        if name in PAPER_SYMBOLS
+        else key.help,
         group=group,
         linked=name == "c",
         logarithmic=value != 0,

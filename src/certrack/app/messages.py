@@ -55,6 +55,8 @@ class GainMove:
         Width of the plots.
     resting : bool
         Whether the gesture is over, so that the text is to follow.
+    law : bool
+        Whether the page shows plant and law as formulas, so that they are to follow, too.
     """
 
     design: int
@@ -64,6 +66,7 @@ class GainMove:
     window: tuple[float, float] | None
     pixels: int
     resting: bool
+    law: bool = False
 
 
 @dataclass(frozen=True)
@@ -192,6 +195,7 @@ def _move(values: dict[str, Any]) -> GainMove:
         None if window is None else checks.ordered_pair("window", window, strict=True),
         checks.integer("pixels", values["pixels"], LEAST_PIXELS, MOST_PIXELS),
         values.get("resting") is True,
+        values.get("law") is True,
     )
 
 

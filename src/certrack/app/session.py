@@ -106,7 +106,8 @@ class Session:
             self._post("sampled", do="run", sampled=True, after=PAUSE)
         if move.resting:
             self._post("text")
-            self._post("law")
+            if move.law:
+                self._post("law")
             self._end_pause()
 
     def _end_pause(self) -> None:

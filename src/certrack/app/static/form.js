@@ -1,9 +1,10 @@
 // The system as a form: every key of the file, with its unit, its limits, and the help of the documentation.
-import { element } from "./dom.js";
+import { element, write } from "./dom.js";
 import { Profile } from "./profile.js";
 
 const WORDS = new Set(["choice"]);
 
+const NAME = /^[A-Za-z]\w*$/;
 const KIND_OF_REFERENCE = "reference.kind";
 
 export class Form {
@@ -20,7 +21,7 @@ export class Form {
     const open = new Set([...this.parent.querySelectorAll("details[open]")].map((fold) => fold.dataset.title));
     const focused = document.activeElement?.dataset?.path, first = !this.parent.childElementCount;
     this.parent.textContent = "";
-    this.stale = element("p", { class: "stale-note", hidden: true }, "follows the file once it has no errors");
+    this.stale = element("p", { class: "stale-note", hidden: true }, "");
     this.parent.append(this.stale);
     for (const { title, fields: all } of sections) {
       const fields = all.filter((field) => field.path !== KIND_OF_REFERENCE); // beside the drawing
@@ -28,6 +29,7 @@ export class Form {
       const fold = element("details", { class: "section", "data-title": title, open: first ? title === "Plant" || title === "Reference" : open.has(title) }, element("summary", {}, element("h3", {}, title), element("span", { class: "count" }, filled.length ? String(filled.length) : "not used")));
       if (title === "Reference") fold.append(this.profile.build(reference, units[0]));
       for (const field of filled) fold.append(this.field(field));
+      if (title === "Plant") fold.append(this.constant());
       const empty = fields.filter((field) => field.value === "");
       if (empty.length) {
         const more = element("details", { class: "more" }, element("summary", {}, `${empty.length} more`));
@@ -64,12 +66,34 @@ export class Form {
     return element("div", { class: "field" }, element("label", { for: id }, field.name, field.unit ? element("i", {}, field.unit) : null), input, help);
   }
 
-  /** Mark the field of an error, and say that the form waits for the file. */
+  /** A name that formulas may use, and its value: what the text says under [plant.constants]. */
+  constant() {
+    const name = element("input", { id: "constant-name", "aria-label": "name of a new constant", placeholder: "name", autocomplete: "off", spellcheck: "false" });
+    const value = element("input", { id: "constant-value", "aria-label": "value of a new constant", placeholder: "value", autocomplete: "off", spellcheck: "false" });
+    const add = () => {
+      const wrong = NAME.test(name.value.trim()) ? (value.value.trim() ? null : value) : name;
+      if (wrong) return wrong.focus();
+      this.on.edit(`plant.constants.${name.value.trim()}`, value.value);
+      name.value = value.value = "";
+      return name.focus();
+    };
+    for (const input of [name, value]) input.addEventListener("keydown", (event) => event.key === "Enter" && add());
+    return element("div", { class: "field" }, element("label", { for: "constant-name" }, "new constant"), element("div", { class: "pair" }, name, value, element("button", { class: "small", onclick: add }, "Add")), element("span", { class: "help" }, "a name for every formula, such as J = 8e-4"));
+  }
+
+  /** Mark the field of an error with what is wrong, and say that the rest of the form waits. */
   mark(problem) {
-    if (this.stale) this.stale.hidden = !problem;
+    this.parent.querySelectorAll(".wrong-note").forEach((said) => said.remove());
+    if (this.stale) {
+      this.stale.hidden = !problem;
+      write(this.stale, problem ? `${problem.message.replace(/\.?$/, ".")} The page shows the last good design until this is mended; go on filling in.` : "");
+    }
     this.parent.querySelectorAll("[aria-invalid]").forEach((input) => input.removeAttribute("aria-invalid"));
     if (!problem?.key) return;
     const path = problem.key.replace(/\[.*$/, ""), input = this.parent.querySelector(`[data-path="${CSS.escape(path)}"]`);
-    input?.setAttribute("aria-invalid", "true");
+    if (!input) return;
+    input.setAttribute("aria-invalid", "true");
+    for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+    input.closest(".field").append(element("span", { class: "wrong-note" }, problem.message.slice(problem.message.indexOf(path) + path.length).replace(/^\S*:\s*/, "")));
   }
 }

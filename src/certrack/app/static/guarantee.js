@@ -3,6 +3,11 @@ import { byId, element, style, write } from "./dom.js";
 import { change, format } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
+const RUNGS = {
+  simulated: "the largest error at the end of this run: of the truth of the file and this one disturbance",
+  "worst found": "the largest error that a search over what the premises admit has found (Falsify): no run can be worse than certified",
+  certified: "holds for every disturbance and parameter that the premises admit: so it lies above what one run shows",
+};
 const STATUSES = ["contradicted", "assumed", "checked", "proven"];
 const LEAST_CHANGE = 0.005;
 const LESS_IS_BETTER = new Set(["settling_time", "tail_error", "rms_error", "integral_abs_error", "peak_input", "input_energy", "input_variation"]);
@@ -94,7 +99,7 @@ export class Guarantee {
       for (const [label, color] of [["simulated", "--output"], ["worst found", "--worst"], ["certified", "--bound"]]) {
         const bar = element("i");
         bar.style.background = `var(${color})`;
-        box.append(element("span", {}, label), element("span", { class: "track" }, bar), element("b"));
+        box.append(element("span", { title: RUNGS[label] }, label), element("span", { class: "track" }, bar), element("b"));
       }
     }
     const most = Math.max(simulated ?? 0, worst?.worst ?? 0, bound?.bound ?? 0) || 1;

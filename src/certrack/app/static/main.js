@@ -36,7 +36,7 @@ const gains = new Gains(byId("gains"), {
   problem: (text) => note(text),
   step: (path, value) => edit(path, value),
 });
-const requests = new Requests({ send, values, width: () => byId("plots").clientWidth });
+const requests = new Requests({ send, values, width: () => byId("plots").clientWidth, law: () => byId("law-card").open });
 const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
 const texts = new Texts({ send, values, all: () => gains.all(), editor: () => editor });
 const edit = (path, value) => texts.edit(path, value);
@@ -321,6 +321,11 @@ bindKeys({
   task: (name) => tasks.press(name),
   lock: () => gains.lockFocused(),
   mode: (name) => responses.error?.setMode(name),
+});
+
+byId("law-card").addEventListener("toggle", ({ target }) => {
+  byId("law").textContent = ""; // of an older design: nobody asked for it while the card was folded
+  if (target.open) requests.submit(true);
 });
 
 addEventListener("resize", settled(() => {

@@ -113,7 +113,7 @@ export function startPage(parent, greeting, open) {
   const list = Object.entries(greeting.catalog).map(([name, title]) => element("li", {}, element("button", { class: "item", onclick: () => open("catalog", name) }, element("span", {}, name), element("small", {}, title))));
   const files = greeting.files.map((file) => element("li", {}, element("button", { class: "item", onclick: () => open("file", file) }, element("span", {}, file))));
   parent.append(
-    element("div", { class: "start-side" }, element("h2", {}, "Begin with"), element("button", { class: "item strong", onclick: () => open("empty", "") }, element("span", {}, "Empty plant"), element("small", {}, "a commented file, ready to be filled in")), files.length ? element("h2", {}, "Files in this folder") : null, element("ul", {}, ...files), element("h2", {}, "Three things to try"), tryList()),
+    element("div", { class: "start-side" }, element("h2", {}, "Begin with"), element("button", { class: "item strong", onclick: () => open("empty", "") }, element("span", {}, "Empty plant"), element("small", {}, "a commented drive of second order, to be replaced by yours: all keys at once under File, or one by one under System")), files.length ? element("h2", {}, "Files in this folder") : null, element("ul", {}, ...files), element("h2", {}, "Three things to try, once a system is open"), tryList()),
     element("div", {}, element("h2", {}, "Shipped systems"), element("ul", {}, ...list)),
   );
 }

@@ -4,7 +4,7 @@ import { state } from "./state.js";
 const IN_FLIGHT = 2, LEAST_PIXELS = 200, MOST_PIXELS = 8000, MARGINS = 96;
 
 export class Requests {
-  /** `on`: send(message), values(), width(). */
+  /** `on`: send(message), values(), width(), law() whether the formulas are shown. */
   constructor(on) {
     this.on = on;
     this.flight = [];
@@ -23,7 +23,7 @@ export class Requests {
     this.waiting = false;
     const pixels = (this.on.width() - MARGINS) * Math.min(2, devicePixelRatio);
     this.flight.push([state.design, state.view]);
-    this.on.send({ type: "set", revision: state.revision, design: state.design, view: state.view, gains: this.on.values(), window: state.window, pixels: Math.round(Math.min(MOST_PIXELS, Math.max(LEAST_PIXELS, pixels))), resting: this.resting });
+    this.on.send({ type: "set", revision: state.revision, design: state.design, view: state.view, gains: this.on.values(), window: state.window, pixels: Math.round(Math.min(MOST_PIXELS, Math.max(LEAST_PIXELS, pixels))), resting: this.resting, law: this.on.law() });
     this.resting = false;
   }
 
