@@ -23,6 +23,7 @@ from certrack.certificates.implemented.fixed_point import (
 from certrack.certificates.implemented.float_image import FloatImage
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.lags import lag_gains
+from certrack.certificates.implemented.period import Period
 from certrack.certificates.implemented.polytope import Polytope, _cut, common, half_spaces
 from certrack.certificates.implemented.rates_used import rates_unused
 from certrack.certificates.implemented.region import region_of_runs, without_polytopes
@@ -32,7 +33,12 @@ from certrack.certificates.implemented.regional import (
     largest_region,
     not_reached,
 )
-from certrack.certificates.implemented.timing import TimedBounds, _crosses, _in_cell_pulse
+from certrack.certificates.implemented.timing import (
+    TimedBounds,
+    _crosses,
+    _in_cell_pulse,
+    _pulse_columns,
+)
 from certrack.certificates.region import IN_REGION, _within, is_only_in_region, while_within
 from certrack.certificates.sampling import Points
 from certrack.core.errors import InputError
@@ -541,3 +547,32 @@ def test_where_nothing_moves_the_slopes_are_finite():
     expected = image.by_v.copy()
     expected[:, 0] += image.by_w[:, 0] * 0.4
     assert found == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("longest", range(4))
+def test_between_the_ends_of_cells_a_pulse_bends_by_no_more_than_is_said(longest):
+    """Of every cell, also where the one that bends most is not the first or the last."""
+    A, b = np.array([[-1.0, 2.0], [-0.5, -3.0]]), np.array([1.0, -4.0])
+    lengths = [q("0.3") if p == longest else q("0.1") for p in range(4)]
+    moves = [expm(A * float(h)) for h in lengths]
+    cells = [
+        SimpleNamespace(length=h, transition=flint.arb_mat(E.tolist()))
+        for h, E in zip(lengths, moves, strict=True)
+    ]
+    drive = SimpleNamespace(A=flint.arb_mat(A.tolist()), b=flint.arb_mat([[v] for v in b]))
+    identity = flint.arb_mat([[1, 0], [0, 1]])
+    period = Period(drive, identity, None, None, None, tuple(cells), (), ())
+    nodes, bend = _pulse_columns(period, drive.b, 4)
+    largest, said, later = np.zeros(2), np.zeros(2), np.eye(2)
+    for k, p in enumerate((3, 2, 1, 0)):
+        h = float(lengths[p])
+        ends = [np.array([float(nodes[i, k + j]) for i in range(2)]) for j in (0, 1)]
+        assert ends[0] == pytest.approx(later @ b)
+        for s in np.linspace(0, 1, 41):
+            line = (1 - s) * ends[0] + s * ends[1]
+            largest = np.maximum(largest, np.abs(later @ expm(A * s * h) @ b - line))
+        curved = expm(np.abs(A) * h) @ np.abs(A @ A @ b) * h**2 / 8
+        said = np.maximum(said, np.abs(later) @ curved)
+        later = later @ moves[p]
+    assert (largest <= bend).all()
+    assert bend == pytest.approx(said)
