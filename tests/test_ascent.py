@@ -249,3 +249,17 @@ def test_a_run_that_shows_its_start_is_no_worst_case():
     assert ControlledLoop(EXAMPLE, bounds_of(EXAMPLE)).forgets_start
     with pytest.raises(NothingTried, match="outlasts the longest run"):
         ascend(slow, bounds_of(slow), [], 300, 0, silent)
+
+
+def test_the_reference_of_a_run_is_admissible_where_its_means_drift_away():
+    """Of the former starter: pieces of 6 s in 100 s of 0.5 sin(t), whose mean is no y_d''."""
+    system = certrack.load("tests/data/starter.toml")
+    loop = ControlledLoop(system, bounds_of(system))
+    inputs, _ = of_run(loop, system, certrack.simulate(system))
+    widths = np.concatenate([loop.piece_widths, loop.stopping_widths])
+    y, largest = inputs.begin[:, 0], np.zeros(2)
+    for width, top in zip(widths, inputs.pieces[:, 0], strict=True):
+        y = np.array([y[0] + width * y[1] + width**2 / 2 * top, y[1] + width * top])
+        largest = np.maximum(largest, np.abs(y))
+    assert (largest <= 0.5 * (1 + 1e-9)).all()
+    assert np.abs(inputs.pieces).max() <= 0.5 * (1 + 1e-9)

@@ -19,6 +19,9 @@ from certrack.systems.system import System
 #: Waves have from one turn in so many horizons to so many turns in one.
 SLOWEST_WAVE, FASTEST_WAVE = 0.5, 60.0
 
+#: Means on long pieces let y_d drift away from its run: beyond this part of a bound it is shrunk.
+LEAST_EXCESS = 1.01
+
 
 def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> AdversaryInputs:
     """Members at rest under shares that are constant at first, then waves of any frequency.
@@ -87,7 +90,20 @@ def _reference(loop: ControlledLoop, case: System, edges: Array) -> tuple[Array,
     values = case.reference.values(times, m - 1)
     begin = values[:, 0]
     pieces = np.diff(values[m - 1]) / loop.piece_widths
-    return begin[:, None], np.concatenate([pieces, _stopping(loop, begin, pieces)])[:, None]
+    pieces = np.concatenate([pieces, _stopping(loop, begin, pieces)])
+    excess = _excess(loop, begin, pieces)
+    if excess > LEAST_EXCESS:  # an adversary that begins with what is not admissible stays there
+        begin, pieces = begin / excess, pieces / excess
+    return begin[:, None], pieces[:, None]
+
+
+def _excess(loop: ControlledLoop, begin: Array, pieces: Array) -> float:
+    """The largest derivative between pieces, over its bound."""
+    widths = np.concatenate([loop.piece_widths, loop.stopping_widths])
+    times = np.concatenate([[0.0], np.cumsum(widths)])
+    reached = np.abs(derivatives_between(times.tolist(), begin.tolist(), pieces.tolist()))
+    largest = np.append(reached.max(axis=0), np.abs(pieces).max())
+    return float((largest / np.maximum(loop.bounds, 1e-300)).max())
 
 
 def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
