@@ -16,7 +16,14 @@ from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.controlled import ControlledRuns
 from certrack.studies.falsifier.ascent.case import MEANS, SIGNS, mean_formula, written
 from certrack.studies.falsifier.ascent.climb import climb
-from certrack.studies.falsifier.ascent.loop import RESTING_PIECES, AdversaryInputs, ControlledLoop
+from certrack.studies.falsifier.ascent.loop import (
+    LEAST_PIECE,
+    PIECE_PART,
+    RESTING_PIECES,
+    AdversaryInputs,
+    ControlledLoop,
+    _pieces,
+)
 from certrack.studies.falsifier.ascent.search import ascend
 from certrack.studies.falsifier.ascent.seeds import all_members, of_run, waves
 from certrack.studies.falsifier.falsify import falsify
@@ -263,3 +270,19 @@ def test_the_reference_of_a_run_is_admissible_where_its_means_drift_away():
         largest = np.maximum(largest, np.abs(y))
     assert (largest <= 0.5 * (1 + 1e-9)).all()
     assert np.abs(inputs.pieces).max() <= 0.5 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("steps", "longest"), [(1, 1), (100, 3), (4000, 10), (4000, 500)])
+def test_pieces_are_short_at_the_end_and_never_longer_than_a_turn(steps, longest):
+    pieces = _pieces(steps, longest)
+    assert pieces.sum() == steps and pieces.max() <= max(longest, LEAST_PIECE)
+    assert (np.diff(pieces[1:]) <= 0).all()  # the first takes what is left
+    left = steps - np.cumsum(pieces)
+    assert (pieces <= np.maximum(LEAST_PIECE, PIECE_PART * left)).all()
+
+
+@pytest.mark.slow
+def test_a_reference_that_turned_long_ago_counts_where_estimates_forget_slowly():
+    """With pieces that grow with the time to the end alone, 0.0260 is found."""
+    found = certrack.falsify(certrack.load("tests/data/starter.toml"), budget=1500)
+    assert found.worst_error > 0.034

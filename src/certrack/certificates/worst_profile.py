@@ -119,10 +119,14 @@ def stopping_widths(sizes: np.ndarray, count: int) -> np.ndarray:
     """Widths of pieces that suffice to come to rest."""
     if not count:
         return np.empty(0)
+    return np.full(count, STOPPING_TIMES * turning_time(sizes) / count)
+
+
+def turning_time(sizes: np.ndarray) -> float:
+    """About the longest time from zero to its bound of a derivative, s; 1 where none is bound."""
     reached = _reached(sizes)
     ratios = [below / above for below, above in zip(reached, sizes[1:], strict=False)]
-    slowest = max((ratio for ratio in ratios if ratio < LARGEST_RATIO), default=1.0)
-    return np.full(count, STOPPING_TIMES * slowest / count)
+    return float(max((ratio for ratio in ratios if ratio < LARGEST_RATIO), default=1.0))
 
 
 def _reached(sizes: np.ndarray) -> np.ndarray:

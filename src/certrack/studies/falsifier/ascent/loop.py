@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from certrack.certificates.worst_profile import stopping_widths
+from certrack.certificates.worst_profile import stopping_widths, turning_time
 from certrack.core.arrays import Array
 from certrack.core.expressions import symbol
 from certrack.integrators.controlled import ControlledFlow, ControlledRuns
@@ -35,9 +35,10 @@ LEAST_TIME_CONSTANTS = 5.0
 #: A step over the fastest time constant of the nominal error, and steps at most.
 CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 
-#: A piece of the reference lasts this part of the time from it to the end, and at least so many
-#: steps.
-PIECE_PART, LEAST_PIECE = 0.07, 2
+#: A piece of the reference lasts this part of the time from it to the end, at least so many steps,
+#: and not longer than this part of the time in which the reference can turn: y_d that turned long
+#: ago matters where estimates forget slowly. Pieces at most, whatever their length.
+PIECE_PART, LEAST_PIECE, TURNING_PART, MOST_PIECES = 0.07, 2, 0.5, 400
 
 #: Pieces by which a reference comes to rest after the end.
 RESTING_PIECES = 24
@@ -148,7 +149,8 @@ class ControlledLoop:
         self.ranges = np.array(boxes, dtype=float).reshape(len(boxes), 2)
         count, step = self._steps()
         self.widths = np.full(finer * count, step / finer)
-        self.piece_steps = finer * _pieces(count)
+        turning = TURNING_PART * turning_time(self.bounds) / step
+        self.piece_steps = finer * _pieces(count, max(int(turning), -(-count // MOST_PIECES)))
 
     def _steps(self) -> tuple[int, float]:
         poles = self.system.controller.coordinates.poles
@@ -274,11 +276,11 @@ class ControlledLoop:
         return values, AdversaryInputs(back.controls[:, :-1], begin, steep, by_truths)
 
 
-def _pieces(steps: int) -> Array:
+def _pieces(steps: int, longest: int) -> Array:
     """How many steps the pieces of the reference last, the earliest first."""
     counts, left, done = list[int](), steps, 0
     while left:
-        count = min(left, max(LEAST_PIECE, int(PIECE_PART * done)))
+        count = min(left, max(LEAST_PIECE, min(longest, int(PIECE_PART * done))))
         counts.append(count)
         left, done = left - count, done + count
     return np.array(counts[::-1])
