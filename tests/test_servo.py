@@ -8,16 +8,21 @@ import pytest
 from click.testing import CliRunner
 
 import certrack
+from certrack.certificates import certify as certify_room
 from certrack.certificates.certificate import Certificate
 from certrack.cli import cli, console
 from certrack.core.rounding import rounded_range
 from certrack.reports.certificates import certificates_notes
 from certrack.reports.tables import short_number
+from certrack.tuning import certified as certified_room
+from certrack.tuning import measure as measure_room
 from certrack.tuning import tune as tune_room
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.fallback import MOST_CHECKS, best_certified
-from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED
+from certrack.tuning.front import FRONT_POINTS
+from certrack.tuning.measure import MEASURING_STEPS, STEP_NAMES, UNMEASURED
 from certrack.tuning.search import GainSearch
+from certrack.tuning.tune import FINISHING_STEPS
 
 
 def run(*arguments):
@@ -62,9 +67,58 @@ def test_tune_reports_its_proofs_and_their_effort(monkeypatch):
     certrack.tune(system, starts=1, effort="high", proving=lambda *news: seen.append(news))
     assert efforts == ["high", "high"]
     done = [news[0] for news in seen]
-    assert done == sorted(done) and {news[1] for news in seen} == {2 * MEASURING_STEPS}
+    assert done == sorted(done) and {news[1] for news in seen} == {FINISHING_STEPS}
+    names = list(dict.fromkeys(map(tune_room.finishing_step, done)))
+    assert names[0] == "tuned design: closed forms"
+    assert names[-1] == "design before: simulation"
+    assert len(names) == len(set(done)) == 2 * MEASURING_STEPS
     with pytest.raises(certrack.InputError, match="effort"):
         certrack.tune(system, effort="best")
+
+
+def test_steps_have_the_names_of_what_is_at_work(monkeypatch):
+    """Each is named for what is called while it is reported."""
+    at, calls = [], {}
+
+    def called(name, original):
+        def noted(*args, **kwargs):
+            calls.setdefault(name, STEP_NAMES[int(at[-1])])
+            return original(*args, **kwargs)
+
+        return noted
+
+    for room, name in (
+        (certified_room, "certify_ranges"),
+        (certify_room, "certify_implemented"),
+        (measure_room, "falsify"),
+        (measure_room, "simulate"),
+    ):
+        monkeypatch.setattr(room, name, called(name, getattr(room, name)))
+    system = certrack.load("motor-shaft-load").with_settings(duration=0.1)
+    measure_room.figures_of(system, None, 0, "fast", lambda done, *_: at.append(done))
+    assert calls == {
+        "certify_ranges": "cells or bootstrap",
+        "certify_implemented": "loop as the drive runs it",
+        "falsify": "falsifier",
+        "simulate": "simulation",
+    }
+
+
+def test_a_front_reports_its_points(monkeypatch):
+    """Not as starts of the search."""
+    starts, points = [], []
+    monkeypatch.setattr(tune_room, "figures_of", lambda *_, **__: UNMEASURED)
+    certrack.tune(
+        certrack.load("dual-motor-lean"),
+        peak_input=39.1,
+        starts=1,
+        front="peak-input",
+        progress=lambda *news: starts.append(news),
+        sweeping=lambda *news: points.append(news),
+    )
+    assert {news[1] for news in starts} == {1}
+    assert [news[:2] for news in points] == [(k, FRONT_POINTS) for k in range(FRONT_POINTS)]
+    assert points[0][2] is None and points[1][2] > points[2][2] > 0
 
 
 def test_phases_follow_each_other(monkeypatch):

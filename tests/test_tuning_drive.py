@@ -9,10 +9,14 @@ import pytest
 from test_cli import invoke
 
 import certrack
+from certrack.app import long_tasks
+from certrack.certificates.certificate import Certificate
+from certrack.core.progress import silent
 from certrack.laws.observer import Observer
 from certrack.loops.stability import linear_loop
-from certrack.reports.tuning import tuned_notes
+from certrack.reports.tuning import remarks, tuned_bounds, tuned_notes, tuned_table, warnings
 from certrack.systems.edit import with_law
+from certrack.tuning import measure as measure_room
 from certrack.tuning import tune as module
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.certified import certified_or_why
@@ -21,7 +25,7 @@ from certrack.tuning.drive_family import DriveFamily
 from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.families import AdaptiveFamily
 from certrack.tuning.limits import Limit
-from certrack.tuning.measure import UNMEASURED, _Fixed, box_peak
+from certrack.tuning.measure import UNMEASURED, ContinuousFigures, _Fixed, alike, box_peak
 from certrack.tuning.problem import Requirements
 from certrack.tuning.quantities import Largest, NoiseGain, PeakGainError
 from certrack.tuning.ranged import RangedError
@@ -332,3 +336,77 @@ def test_a_bound_from_some_starts_says_so(name, starts):
     tuned = Tuned(certrack.load(name), "error", UNMEASURED, figures, (), (), 1, (1,), 0)
     told = [line for line in tuned_notes(tuned) if "holds" in line]
     assert told == ([f"the certified error after holds {starts}"] if starts else [])
+
+
+OF_DRIVE = replace(UNMEASURED, certified=0.0179, worst_found=0.011, method="implemented")
+OF_LAW = replace(
+    UNMEASURED, certified=0.00158, worst_found=0.001, method="cells", continuous_only="not yet"
+)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_before_and_after_are_bounds_of_the_same_loop(monkeypatch, turned):
+    """One that is of the drive gets what its continuous law has, and both are printed."""
+    system, asked = certrack.load("dual-motor-drive"), []
+
+    def proof(of, **_):
+        asked.append(of.implementation)
+        return Certificate("cells", 0.0114, verified=True)
+
+    monkeypatch.setattr(measure_room, "certified", proof)
+    monkeypatch.setattr(measure_room, "_falsified", lambda of, seed, as_implemented: 0.009)
+    pairs = [(system, OF_DRIVE), (system, OF_LAW)]
+    before, after = alike(*(pairs[::-1] if turned else pairs), 0)
+    drive, law = (after, before) if turned else (before, after)
+    assert asked == [None]
+    assert drive == replace(OF_DRIVE, continuous=ContinuousFigures(0.0114, 0.009))
+    assert law == replace(OF_LAW, continuous=ContinuousFigures(0.00158, 0.001))
+    found = Tuned(system, "error", before, after, (), (), 1, (1,), 0)
+    columns = [["0.0179", "-"], ["0.011", "-"], ["0.0114", "0.00158"], ["0.009", "0.001"]]
+    rows = [list(row[1:]) for row in tuned_table(found, None).rows[:4]]
+    assert rows == [column[::-1] if turned else column for column in columns]
+    labels = [pair[0][0] for pair in tuned_bounds(found)]
+    assert labels == [f"certified error, {of}" for of in ("as the drive runs it", "continuous law")]
+    smaller = "0.0114" if turned else "0.00158"
+    assert any(f"certified {smaller} (" in line for line in remarks(found, "a file"))
+    assert any("not better" in line for line in warnings(found)) == turned
+    assert smaller in repr(found)
+    assert found.summary()["before"]["continuous"]["certified"] == before.continuous.certified
+
+
+@pytest.mark.parametrize(
+    ("figures", "of"),
+    [(OF_DRIVE, ", as the drive runs it"), (OF_LAW, ", continuous law")],
+    ids=["drive", "law"],
+)
+def test_bounds_of_one_loop_stand_in_one_row(figures, of):
+    system = certrack.load("dual-motor-drive")
+    none = replace(UNMEASURED, certified=math.inf)
+    for other in (figures, none):
+        assert alike((system, other), (system, figures), 0) == (other, figures)
+        found = Tuned(system, "error", other, figures, (), (), 1, (1,), 0)
+        (((label, *_), _),) = tuned_bounds(found)
+        assert label == f"certified error{of}"
+    nothing = Tuned(system, "error", none, none, (), (), 1, (1,), 0)
+    assert tuned_bounds(nothing)[0][0][0] == "certified error"
+
+
+def test_the_continuous_law_of_a_drive_is_certified_and_attacked():
+    """The real figures: not below what is found of that law, nor above the loop's of the drive."""
+    system = certrack.load("dual-motor-drive")
+    proven = certified_or_why(system).best
+    of_drive = replace(UNMEASURED, certified=proven.bound, method=proven.kind)
+    found = alike((system, of_drive), (system, OF_LAW), 0)[0].continuous
+    assert found.worst_found <= found.certified < proven.bound
+
+
+def test_the_designer_shows_the_same_rows(monkeypatch):
+    system = certrack.load("dual-motor-drive")
+    both = [replace(f, continuous=ContinuousFigures(0.0114, 0.009)) for f in (OF_DRIVE, OF_LAW)]
+    found = Tuned(system, "error", *both, (), (), 1, (1,), 0)
+    monkeypatch.setattr(module, "tune", lambda *_, **__: found)
+    header, _ = long_tasks._tune(system, {}, silent, None)
+    labels = ["certified error", "worst error found"]
+    of = [", as the drive runs it", ", continuous law"]
+    assert [row[0] for row in header["table"][:4]] == [label + o for o in of for label in labels]
+    assert header["table"][0][1] == "0.0179" and header["table"][2][1:] == ["0.0114", "0.0114"]

@@ -179,6 +179,13 @@ class TestProgressLines:
         assert "certrack: Tuning, starts 1 of 2, best 0.0123, after 0 s" in lines
         assert any("2 of 2, best 0.0123, now finished, after" in line for line in lines)
 
+    def test_name_the_step_at_work(self, capsys, monkeypatch):
+        monkeypatch.setattr(progress_lines, "SECONDS_BETWEEN_LINES", 0.01)
+        with console.progress("Step", at="part {}".format) as advance:
+            advance(1, 2, None)
+            time.sleep(0.3)
+        assert "certrack: Step 1 of 2, part 1, after 0 s" in capsys.readouterr().err.splitlines()
+
     def test_a_short_call_says_nothing(self, capsys, monkeypatch):
         monkeypatch.setattr(progress_lines, "SECONDS_BETWEEN_LINES", 100.0)
         with console.rate_progress("Members") as advance:

@@ -228,6 +228,7 @@ def _margins(
 
 def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Show) -> TaskResult:
     """Gains within limits, before and after."""
+    from certrack.reports.tuning import tuned_bounds
     from certrack.tuning.result import Tuned
     from certrack.tuning.tune import tune
 
@@ -246,10 +247,16 @@ def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Sh
         seed=_seed(options),
         front=front,
         progress=report,
+        sweeping=report,
         **limits,
     )
     before, after = result.before.summary(), result.after.summary()
-    table = []
+    table = [
+        [label, *(_figure(name, value) for value in values)]
+        for pair in tuned_bounds(result)
+        for name, (label, *values) in zip(("certified", "found"), pair, strict=True)
+        if any(value is not None for value in values)
+    ]
     for name, label in TUNED_LABELS.items():
         if before.get(name) is None and after.get(name) is None:
             continue
@@ -274,8 +281,6 @@ def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Sh
 
 #: Figures of a tuned design that are shown.
 TUNED_LABELS = {
-    "certified": "certified bound",
-    "worst_found": "worst error found",
     "tail_error": "tail error",
     "peak_input": "peak input",
     "energy": "input energy",

@@ -45,8 +45,15 @@ MOVING_KINDS = (*NOMINAL_KINDS, ONLINE)
 #: Of which a tube follows: inequalities for V, which hold for every t.
 QUADRATIC_KINDS = ("semidefinite", "cascade", ONLINE)
 
-#: Steps of which :func:`every_certificate` reports.
-METHOD_STEPS = 5
+#: Steps of which :func:`every_certificate` reports, as a progress names them.
+METHOD_NAMES = (
+    "closed forms",
+    "semidefinite program",
+    "cascade",
+    "bootstrap",
+    "peak gains, ranges of constants",
+)
+METHOD_STEPS = len(METHOD_NAMES)
 
 #: Orders up to which peak gains take less than about a second.
 FAST_PEAK_ORDER = 25

@@ -6,13 +6,13 @@ import json
 import math
 import textwrap
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from certrack.cli.progress_lines import progress_lines
+from certrack.cli.progress_lines import progress_lines, working
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -147,7 +147,12 @@ def _bar(*fields: str) -> Iterator[Bar]:
 
 
 @contextmanager
-def progress(what: str, extreme: str = "worst", then: str = "") -> Iterator[Progress]:
+def progress(
+    what: str,
+    extreme: str = "worst",
+    then: str = "",
+    at: Callable[[float], str] | None = None,
+) -> Iterator[Progress]:
     """Progress bar, or lines where there is no terminal; yields the `progress` of a long call.
 
     Parameters
@@ -156,17 +161,19 @@ def progress(what: str, extreme: str = "worst", then: str = "") -> Iterator[Prog
         What is counted, and what the extreme is called that is looked for.
     then : str
         What goes on when all is counted.
+    at : callable, optional
+        Names what is at work when so much is done.
     """
     if not console(error=True).is_terminal:
-        with progress_lines(what, extreme, then) as advance:
+        with progress_lines(what, extreme, then, at) as advance:
             yield advance
         return
     with _bar() as bar:
         task = bar.add_task(what, total=None)
 
         def advance(done: float, total: float | None, best: float | None, /) -> None:
-            shown = what if best is None else f"{what}, {extreme} {best:.4g}"
-            shown += f", {then}" if then and total is not None and done >= total else ""
+            parts = [what] if best is None else [what, f"{extreme} {best:.4g}"]
+            shown = ", ".join([*parts, *filter(None, [working(then, at, done, total)])])
             done = done if total is None else min(done, total)
             bar.update(task, completed=done, total=total, description=shown)
 
@@ -180,13 +187,19 @@ class Phases:
         self._bars = bars
         self._shown: tuple[str, Progress] | None = None
 
-    def phase(self, what: str, extreme: str = "worst", then: str = "") -> Progress:
+    def phase(
+        self,
+        what: str,
+        extreme: str = "worst",
+        then: str = "",
+        at: Callable[[float], str] | None = None,
+    ) -> Progress:
         """The `progress` of a part; its arguments are those of :func:`progress`."""
 
         def advance(done: float, total: float | None, best: float | None, /) -> None:
             if self._shown is None or self._shown[0] != what:
                 self._bars.close()
-                self._shown = what, self._bars.enter_context(progress(what, extreme, then))
+                self._shown = what, self._bars.enter_context(progress(what, extreme, then, at))
             self._shown[1](done, total, best)
 
         return advance

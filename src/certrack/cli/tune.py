@@ -93,6 +93,7 @@ def _tuned(
     from certrack.reports import tuning as tune_report
     from certrack.systems.edit import with_law
     from certrack.systems.reader import load
+    from certrack.tuning.tune import finishing_step
     from certrack.tuning.tune import tune as search_gains
 
     system = load(file)
@@ -107,7 +108,8 @@ def _tuned(
         result = search_gains(
             system,
             progress=bars.phase("Tuning, starts", "best", then),
-            proving=bars.phase("Search over, certifying and measuring, steps", "bound"),
+            proving=bars.phase("Search over, step", "bound", at=finishing_step),
+            sweeping=bars.phase("Front, points", "last"),
             **wanted,
         )
     if as_json:

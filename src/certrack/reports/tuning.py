@@ -14,8 +14,10 @@ from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
 if TYPE_CHECKING:
-    from certrack.tuning.measure import Measured
     from certrack.tuning.result import Tuned
+
+#: Of which loop a figure is.
+AS_RUN, CONTINUOUS = ", as the drive runs it", ", continuous law"
 
 #: A loop that is stable only below so many times its period is warned of.
 PERIODS_FOR_COMFORT = 3.0
@@ -27,8 +29,6 @@ def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     peaks = result.before.peak_is, result.after.peak_is
     peak_is = FOUND if FOUND in peaks else result.after.peak_is
     entries = [
-        (labelled("certified error", y), "certified"),
-        (labelled("worst error found", y), "worst_found"),
         (labelled("tail error, simulated", y), "tail_error"),
         (labelled(f"peak input, {peak_is}", u), "peak_input"),
         (labels["input_energy"], "energy"),
@@ -36,15 +36,59 @@ def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
         (labelled("gain from noise to input", f"{u} per unit of the states" if u else ""), "noise"),
         ("longest stable period [s]", "period"),
     ]
-    rows = [
-        [label, _shown(result.before, name), _shown(result.after, name)] for label, name in entries
-    ]
+    rows: list[list[object]] = []
+    for proven, found in tuned_bounds(result):
+        rows.append([labelled(proven[0], y), *(printed_bound(bound, 5) for bound in proven[1:])])
+        rows.append([labelled(found[0], y), *found[1:]])
+    for label, name in entries:
+        rows.append([label, getattr(result.before, name), getattr(result.after, name)])
     return table("", ["", "before", "after"], rows)
 
 
-def _shown(figures: Measured, name: str) -> object:
-    value = getattr(figures, name)
-    return printed_bound(value, 5) if name == "certified" else value
+#: A label, and the figures before and after.
+Labelled = tuple[str, float | None, float | None]
+
+
+def tuned_bounds(result: Tuned) -> list[tuple[Labelled, Labelled]]:
+    """What is certified and what is found, before and after, for each loop that it is of.
+
+    Two loops where one design is certified as the drive runs it and the other is not: a bound of
+    the one beside a bound of the other would compare nothing.
+
+    Parameters
+    ----------
+    result : Tuned
+
+    Returns
+    -------
+    list of pairs
+        The certified error and the worst that is found, each with its label.
+    """
+    certified, found = "certified error", "worst error found"
+    before, after = result.before, result.after
+    if before.continuous is None or after.continuous is None:
+        kinds = {figures.of_drive for figures in (before, after) if figures.method}
+        of = ""
+        if result.system.implementation is not None and len(kinds) == 1:
+            of = AS_RUN if kinds.pop() else CONTINUOUS
+        return [
+            (
+                (certified + of, before.certified, after.certified),
+                (found, before.worst_found, after.worst_found),
+            )
+        ]
+    run = [
+        (figures.certified, figures.worst_found) if figures.of_drive else (None, None)
+        for figures in (before, after)
+    ]
+    pairs = [
+        (figures.certified, figures.worst_found)
+        for figures in (before.continuous, after.continuous)
+    ]
+    return [
+        ((certified + of, x[0], y[0]), (found + of, x[1], y[1]))
+        for of, (x, y) in ((AS_RUN, run), (CONTINUOUS, pairs))
+    ]
 
 
 def tuned_notes(result: Tuned) -> list[str]:
@@ -100,7 +144,8 @@ def warnings(result: Tuned) -> list[str]:
     if result.stopped:
         lines.append("stopped before all was searched and measured: this is the best so far")
     lines += result.broken
-    if result.objective == "error" and result.after.certified >= result.before.certified:
+    before, after = result.certified
+    if result.objective == "error" and after >= before:
         lines.append("the certified error is not better than the file's, within these limits")
     if result.after.method and result.after.continuous_only:
         lines.append(
@@ -119,12 +164,12 @@ def warnings(result: Tuned) -> list[str]:
 
 def remarks(result: Tuned, file: str) -> list[str]:
     """How the law was made, as comments of the tuned file."""
-    certified = printed_bound(result.after.certified, 5)
+    before, after = (printed_bound(bound, 5) for bound in result.certified)
     return [
         f"tuned by certrack {__version__} from {file}: {result.objective} optimised within",
         *(f"  {limit}" for limit in result.limits),
-        f"seed {result.seed}, {result.programs} programs; limsup |e_1| certified {certified} "
-        f"({printed_bound(result.before.certified, 5)} before)",
+        f"seed {result.seed}, {result.programs} programs; limsup |e_1| certified {after} "
+        f"({before} before)",
         *price_lines(result),
     ]
 

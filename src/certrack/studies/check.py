@@ -15,6 +15,7 @@ from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import SEED, premises
 from certrack.certificates.sampling import random_points
+from certrack.core.rounding import rounded_down
 from certrack.laws.leakage import leak_matrix
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
@@ -169,9 +170,8 @@ def _pole_period(system: System, implementation: Implementation) -> Finding:
     product = fastest * lag
     what = "period" if not max(implementation.delays) else "(period + delay)"
     detail = f"fastest pole {fastest:.4g} rad/s x {what} {lag:.4g} s = {product:.3g}"
-    remedy = (
-        f"take a period of {SMALL_POLE_PERIOD / fastest:.2g} s or less, or {slower_law(system)}"
-    )
+    longest = SMALL_POLE_PERIOD / (fastest * (1 + max(implementation.delays)))
+    remedy = f"take a period of {rounded_down(longest, 2)} s or less, or {slower_law(system)}"
     if product > LARGE_POLE_PERIOD:
         return Finding("poles x period", WARNING, f"{detail}, above {LARGE_POLE_PERIOD:g}", remedy)
     if product > SMALL_POLE_PERIOD:

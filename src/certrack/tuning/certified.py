@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from certrack.certificates.bootstrap.certify import certify_bootstrap
 from certrack.certificates.certificate import Certificate
-from certrack.certificates.certify import certify
+from certrack.certificates.certify import STEPS, certify
 from certrack.certificates.claimed_starts import claimed_starts
 from certrack.certificates.implemented.certify import KIND
 from certrack.certificates.methods import smallest
@@ -67,7 +67,8 @@ def certified_or_why(
     effort : {"fast", "default", "high"}
         Others than ``fast`` as :func:`~certrack.certify` has them.
     progress : callable
-        Gets what :func:`~certrack.certify` reports.
+        Gets what :func:`~certrack.certify` reports; its last step is what ``fast`` leaves out
+        there, the cells and the bootstrap.
 
     Returns
     -------
@@ -80,7 +81,8 @@ def certified_or_why(
         return CertifiedDesign(result.best, reason, starts)
     later, others = system.long_run, []
     if has_ranges(system):
-        others.append(certify_ranges(later).best)
+        cells = certify_ranges(later, progress=lambda _, __, bound: progress(STEPS, STEPS, bound))
+        others.append(cells.best)
     elif bootstrap and result.cascade_proof is not None:
         others.append(certify_bootstrap(later, first=result.cascade_proof[0])[0])
     return CertifiedDesign(smallest((*others, result.best)) or result.best, reason, starts)

@@ -34,17 +34,19 @@ def sweep(
     steps = FRONT_REACH ** (np.arange(1, FRONT_POINTS // 2 + 1) / (FRONT_POINTS // 2))
     others = tuple(limit for limit in limits if limit.name != wanted)
     points: dict[float, float | None] = {}
+    last: float | None = None
     with suppress(KeyboardInterrupt, Cancelled):
         for branch in ((middle, *(middle * steps)), tuple(middle / steps)):
             start = best.v
             for value in map(float, branch):
-                progress(len(points), FRONT_POINTS, None)
+                progress(len(points), FRONT_POINTS, last)
                 moved = tuple(replace(limit, value=value) for limit in swept)
                 task = replace(problem.task, limits=(*others, *moved), accepts=_always_kept)
                 search = GainSearch(problem.base, task)
                 search.run(family, start)
                 best_here = search.state.best
-                points[value] = None if best_here is None else problem.objective.value(best_here)
+                last = None if best_here is None else problem.objective.value(best_here)
+                points[value] = last
                 if best_here is None:  # nor will anything beyond
                     break
                 start = best_here.v

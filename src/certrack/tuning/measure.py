@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.certify import STEPS
 from certrack.certificates.implemented.certify import KIND
+from certrack.certificates.methods import METHOD_NAMES
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.loops.stability import linear_loop
@@ -20,7 +20,7 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.certified import certified_or_why
+from certrack.tuning.certified import certified, certified_or_why
 from certrack.tuning.companion import companion, is_memoryless
 from certrack.tuning.quantities import NoiseGain
 from certrack.tuning.responses import Grid
@@ -32,8 +32,16 @@ from certrack.tuning.stability import StabilityEdge
 #: grid of the exact peak, over that of the search.
 FALSIFIED_RUNS, PEAK_MEMBERS, REFINED = 200, 200, 4
 
-#: Steps that a measurement reports: those of the certificate, the falsifier, and what is simulated.
-MEASURING_STEPS = STEPS + 2
+#: Steps that a measurement reports, by name: those of the certificate, what its effort ``fast``
+#: leaves out, the falsifier, and what is simulated.
+STEP_NAMES = (
+    *METHOD_NAMES,
+    "loop as the drive runs it",
+    "cells or bootstrap",
+    "falsifier",
+    "simulation",
+)
+MEASURING_STEPS = len(STEP_NAMES)
 
 #: What a peak input is: computed for all starts, the largest that was found, or of one run.
 COMPUTED, FOUND, SIMULATED = (
@@ -41,6 +49,21 @@ COMPUTED, FOUND, SIMULATED = (
     "the largest found from the box of starts",
     "simulated from the file's start",
 )
+
+
+@dataclass(frozen=True)
+class ContinuousFigures:
+    """What is proven and found of a design's continuous law.
+
+    Attributes
+    ----------
+    certified : float
+        inf if there is no verified bound.
+    worst_found : float or None
+    """
+
+    certified: float
+    worst_found: float | None
 
 
 @dataclass(frozen=True)
@@ -65,6 +88,9 @@ class Measured:
         With ``[implementation]``: why the certificate is of the continuous law; empty if it is not.
     starts : str
         From which starts the certificate is, in words; empty for all.
+    continuous : ContinuousFigures or None
+        Where one of the designs compared is certified as the drive runs it and the other is not:
+        what both have.
     noise : float
         ||dK_u/dx||.
     period : float or None
@@ -83,6 +109,12 @@ class Measured:
     peak_is: str
     continuous_only: str = ""
     starts: str = ""
+    continuous: ContinuousFigures | None = None
+
+    @property
+    def of_drive(self) -> bool:
+        """Whether the certificate is of the loop as the drive runs it."""
+        return self.method == KIND
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -105,9 +137,9 @@ def figures_of(
     )
     best = proven.best
     bound = best.bound if best.exists else None
-    progress(STEPS, MEASURING_STEPS, bound)
+    progress(MEASURING_STEPS - 2, MEASURING_STEPS, bound)
     worst = _falsified(system, seed, best.kind == KIND)
-    progress(STEPS + 1, MEASURING_STEPS, bound)
+    progress(MEASURING_STEPS - 1, MEASURING_STEPS, bound)
     metrics = simulate(system).metrics
     candidate = _Fixed(system)
     return Measured(
@@ -124,6 +156,42 @@ def figures_of(
         continuous_only=proven.why_continuous,
         starts=proven.starts if best.verified else "",
     )
+
+
+def alike(
+    first: tuple[System, Measured],
+    second: tuple[System, Measured],
+    seed: int,
+    effort: str = "fast",
+    progress: Progress = silent,
+) -> tuple[Measured, Measured]:
+    """The figures of two designs, with those of the continuous law where only it is in both.
+
+    A bound of the loop as the drive runs it is larger than that of its continuous law, so a column
+    of the one beside a column of the other would show a gain that is none.
+
+    Parameters
+    ----------
+    first, second : pairs (System, Measured)
+    seed : int
+        Of the falsifier.
+    effort : {"fast", "default", "high"}
+    progress : callable
+        Gets what :func:`~certrack.certify` reports.
+    """
+    proven = [figures for _, figures in (first, second) if figures.method]
+    if len({figures.of_drive for figures in proven}) < len(proven):
+        return first[1], second[1]
+    both = []
+    for system, figures in (first, second):
+        continuous = ContinuousFigures(figures.certified, figures.worst_found)
+        if figures.of_drive:
+            plain = system.replace(implementation=None)
+            best = certified(plain, effort=effort, progress=progress)
+            bound = best.bound if best.verified else math.inf
+            continuous = ContinuousFigures(bound, _falsified(plain, seed, as_implemented=False))
+        both.append(replace(figures, continuous=continuous))
+    return both[0], both[1]
 
 
 #: Of a design whose measurement was interrupted.

@@ -104,8 +104,15 @@ class Tuned:
     stopped: bool = False
     broken: tuple[str, ...] = ()
 
+    @property
+    def certified(self) -> tuple[float, float]:
+        """Certified errors before and after, of the same loop where both have such a bound."""
+        pair = self.before, self.after
+        before, after = (m.continuous.certified if m.continuous else m.certified for m in pair)
+        return before, after
+
     def __repr__(self) -> str:
-        before, after = (rounded_up(m.certified, 4) for m in (self.before, self.after))
+        before, after = (rounded_up(bound, 4) for bound in self.certified)
         return f"Tuned(certified {before} -> {after}, {self.programs} programs)"
 
     def summary(self) -> dict[str, Any]:

@@ -23,7 +23,14 @@ from certrack.tuning.conflict import conflict
 from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.fallback import best_certified
 from certrack.tuning.front import limits_named, sweep
-from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED, Measured, figures_of
+from certrack.tuning.measure import (
+    MEASURING_STEPS,
+    STEP_NAMES,
+    UNMEASURED,
+    Measured,
+    alike,
+    figures_of,
+)
 from certrack.tuning.problem import OBJECTIVES, Requirements
 from certrack.tuning.result import ActiveLimit, Front, Tuned
 from certrack.tuning.search import GainSearch, prices, random_starts
@@ -37,6 +44,16 @@ LINEAR_STARTS, NONLINEAR_STARTS = 8, 2
 
 #: Iterations by which the design of a drive is refined: each takes a fifth of a second.
 REFINING_ITERATIONS = 12
+
+#: Steps when the search is over, by name: the tuned design, another one where it has no
+#: certificate, the file's, and what both have where only one is certified as the drive runs it.
+FINISHING_NAMES = (
+    *(f"tuned design: {name}" for name in STEP_NAMES),
+    "another tuned design, with a certificate",
+    *(f"design before: {name}" for name in STEP_NAMES),
+    "both designs: continuous law",
+)
+FINISHING_STEPS = len(FINISHING_NAMES)
 
 #: The price of a limit is told for this ease of it.
 EASED = 0.1
@@ -61,6 +78,7 @@ def tune(
     effort: str = "fast",
     progress: Progress = silent,
     proving: Progress = silent,
+    sweeping: Progress = silent,
 ) -> Tuned:
     """Choose the gains of a system's law.
 
@@ -106,7 +124,9 @@ def tune(
         argument :data:`~certrack.core.progress.AT_ONCE` nothing is measured either.
     proving : callable
         Gets, when the search is over, the steps done of certifying and measuring both designs,
-        their number and the bound so far.
+        their number and the bound so far; :func:`finishing_step` names them.
+    sweeping : callable
+        Gets the points of the front done, their number and the objective of the last.
 
     Returns
     -------
@@ -162,7 +182,7 @@ def tune(
     programs = first.problem.error.programs
     curve: Front | None = None
     if front is not None and not hurried:
-        curve = sweep(used.problem, used.family, best, front, progress)
+        curve = sweep(used.problem, used.family, best, front, sweeping)
     starts_box = first.problem.box
     notes += last.left_alone()
 
@@ -170,21 +190,23 @@ def tune(
         return with_law_of(system, last.written(candidate.v))
 
     def figures(of: System, begun: int, steps: int = MEASURING_STEPS) -> Measured:
-        total = 2 * MEASURING_STEPS
         return _figures(
             partial(figures_of, of, starts_box, seed, effort),
-            lambda done, _, bound: proving(begun + min(done, steps), total, bound),
+            lambda done, _, bound: proving(begun + min(done, steps), FINISHING_STEPS, bound),
             search,
         )
 
     after = figures(finished_of(best), 0)
     if math.isinf(after.certified) and used is first and not search.state.stopped:
-        said = partial(proving, MEASURING_STEPS, 2 * MEASURING_STEPS, None)
+        said = partial(proving, MEASURING_STEPS, FINISHING_STEPS, None)
         other, note = _fallback(search, finished_of, effort, said)
         notes.append(note)
         if other is not None:
             best, after = other, figures(finished_of(other), MEASURING_STEPS, 0)
-    before = figures(system, MEASURING_STEPS)
+    before = figures(system, MEASURING_STEPS + 1)
+    before, after = _compared(
+        (system, before), (finished_of(best), after), seed, effort, proving, search
+    )
     hurried = search.state.hurried
     active = tuple(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
@@ -216,6 +238,46 @@ def _figures(measured: Callable[..., Measured], progress: Progress, search: Gain
     except (KeyboardInterrupt, Cancelled) as signal:
         search.state.ended_by(signal)
         return UNMEASURED
+
+
+def _compared(
+    before: tuple[System, Measured],
+    after: tuple[System, Measured],
+    seed: int,
+    effort: str,
+    proving: Progress,
+    search: GainSearch,
+) -> tuple[Measured, Measured]:
+    """Both measurements, with figures of the same loop; as they are where the user ends that."""
+
+    def report(_: float, __: float | None, bound: float | None, /) -> None:
+        proving(FINISHING_STEPS - 1, FINISHING_STEPS, bound)
+
+    try:
+        return alike(before, after, seed, effort, report)
+    except (KeyboardInterrupt, Cancelled) as signal:
+        search.state.ended_by(signal)
+        return before[1], after[1]
+
+
+def finishing_step(done: float) -> str:
+    """The name of the step that :func:`tune` is at when its search is over.
+
+    Parameters
+    ----------
+    done : float
+        Steps done, as ``proving`` gets them.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> finishing_step(0)
+    'tuned design: closed forms'
+    """
+    return FINISHING_NAMES[min(int(done), FINISHING_STEPS - 1)]
 
 
 def _fallback(
