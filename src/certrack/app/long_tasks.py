@@ -274,10 +274,10 @@ def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Sh
 
 #: Figures of a tuned design that are shown.
 TUNED_LABELS = {
-    "certified": "certified bound",
+    "certified": "certified bound (fast proof)",
     "worst_found": "worst error found",
     "tail_error": "tail error",
-    "peak_input": "peak input",
+    "peak_input": "peak input over the starts",
     "energy": "input energy",
     "input_variation": "variation of input",
     "noise": "gain from noise to input",

@@ -220,7 +220,11 @@ export class Plot {
         if (beyond) middle = at - 10 * beyond * ratio;
         if (middle < top + 8 * ratio) middle = at + 10 * ratio;
         if (middle > top + height - 8 * ratio) middle = at - 10 * ratio;
-        while (taken.some((other) => Math.abs(other - middle) < 14 * ratio)) middle += (below ? 14 : -14) * ratio;
+        let step = (below ? 14 : -14) * ratio;
+        while (taken.some((other) => Math.abs(other - middle) < 14 * ratio)) {
+          middle += step;
+          if (middle < top + 8 * ratio) step = 14 * ratio; // there is no room above: below the others
+        }
         taken.push(middle);
         context.globalAlpha = 0.8;
         context.fillStyle = this.colors.panel;
