@@ -74,6 +74,7 @@ export class Guarantee {
     if (!bound.bound) return bound.reason || "no certificate";
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
     if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
+    if (bound.exact && bound.refining && bound.reason.startsWith("of the continuous law")) return "largest |e₁| once settled, of the continuous law, by the fast proof; the finer one, of the loop as the drive runs it where that can be proven, is on its way";
     if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
     const all = "largest |e₁| once settled, for everything the premises admit";
     if (!bound.exact) return `${all}: estimated, which proves nothing; the proof follows`;

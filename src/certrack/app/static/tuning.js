@@ -38,7 +38,7 @@ export class Tuning {
     const begin = element("button", { class: "primary", onclick: () => this.begin(objective.value, Number(starts.value) || STARTS, front.value) }, "Tune");
     this.drawer.open("Tune within limits", [
       element("div", { class: "tune-form" }, labelled("optimise", objective, "What becomes as small (a period: as long) as the limits allow"), ...limits, labelled("starts of the search", starts, "Starts of the search: more of them find more, and take longer"), labelled("sweep a limit", front, "Tune for a row of values of one limit: what it costs"), begin),
-      sentence("Locked gains are kept when the result is applied. The tuned design is certified by the fast proof; once its gains are used the finer one follows, which may be smaller. A sweep shows what a limit costs, and each point of it can be tuned for. Limits of error and peak input can be dragged in the plots, too."),
+      sentence("Locked gains are kept when the result is applied. The tuned design is certified by a fast proof; once its gains are used the page proves it anew, and the finer proof may give less. A sweep shows what a limit costs, and each point of it can be tuned for. Limits of error and peak input can be dragged in the plots, too."),
     ], () => this.on.limits(null));
     const fields = () => Object.fromEntries(DRAWN.map((name) => [name, typed(this.drawer.body.querySelector(`input[name=${name}]`).value) || null]));
     for (const name of DRAWN) this.drawer.body.querySelector(`input[name=${name}]`).addEventListener("input", () => this.on.limits(fields()));
