@@ -66,6 +66,8 @@ def test_no_text_is_cut_or_lies_on_another(shown, size):
         placed = page.evaluate(MISPLACED)
         assert not placed["cut"] and not placed["over"], (tab, placed)
         assert placed["texts"] > 40
+        if tab == "#tab-file" and 1280 <= size[0] < 2400:
+            assert page.evaluate("document.querySelector('.left').clientWidth") > 0.35 * size[0]
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 

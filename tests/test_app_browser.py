@@ -164,6 +164,9 @@ def test_a_contradicted_premise_strikes_the_number(shown):
     wait(page, "document.querySelector('#badge').textContent === 'premise contradicted'")
     assert "struck" in page.get_attribute("#bound", "class")
     assert page.locator("#premises .contradicted").is_visible()
+    assert "not certified" in page.inner_text("#ladder")
+    assert page.locator("#measures tbody td:nth-child(3)").first.inner_text() == "none"
+    assert "no certified bound" in page.locator("#announce").text_content()
     page.click("#remedy >> text=Widen gamma[0] to 0.5")
     wait(page, "lab.state.text.includes('gamma = [0.5, 0.2]')")
     at_rest(page)
@@ -210,6 +213,37 @@ def test_the_law_is_shown_as_formulas_and_a_rise_of_the_bound_is_explained(shown
     now = certrack.design(system).formulas[1]
     assert now.startswith("lambda_1") and now != texts[3]
     wait(page, f"document.querySelectorAll('#law [role=math]')[3].ariaLabel === {now!r}")
+
+
+def test_of_a_drive_the_error_is_in_sight_and_its_bound_has_causes(shown):
+    """From rest the error may lie decades below the bound, which tells of no cause itself."""
+    page = shown()
+    opened(page, "axis-load")
+    page.click("#tab-file")
+    text = page.input_value("#text")
+    page.fill("#text", text.replace("[reference]", "[reference] # at rest"))
+    wait(page, "lab.state.text.includes('# at rest')")
+    at_rest(page)
+    wait(page, "lab.state.run.header.sampled")
+    low, high, tail, bound = page.evaluate(
+        "[...((y) => [y.min, y.max])(lab.responses.error.plot.scales.y),"
+        " lab.state.run.header.metrics.tail_error, lab.state.bound.bound]"
+    )
+    assert low < tail < high and low < bound < high
+    shares = page.locator("#budget .bar span:nth-child(2)").all_inner_texts()
+    assert shares and abs(sum(int(share.split()[0]) for share in shares) - 100) <= len(shares)
+    assert "continuous law" in page.inner_text("#budget-hint")
+    page.click("#tab-gains")
+    slider = page.locator(".slider:visible").first
+    before = slider.get_attribute("aria-valuenow")
+    slider.focus()
+    for _ in range(3):
+        page.keyboard.down("PageUp")  # held
+    page.keyboard.up("PageUp")
+    assert slider.get_attribute("aria-valuenow") != before
+    page.locator("body").press("Control+z")
+    assert slider.get_attribute("aria-valuenow") == before, "one gesture until the key is let go"
+    at_rest(page)
 
 
 def test_falsify_ensemble_cancel_and_export(shown, tmp_path):

@@ -55,6 +55,7 @@ def certificates_frame(
     effort: str,
     design: int,
     began: float,
+    nominal: BoundEstimate | None = None,
 ) -> bytes:
     """All certificates of a design.
 
@@ -67,7 +68,11 @@ def certificates_frame(
     effort : str
     design : int
     began : float
+    nominal : BoundEstimate, optional
+        Of the continuous law with the constants as they stand: it tells in the place of `near`,
+        where that does not.
     """
+    causes = near if near.shares or nominal is None else nominal
     best, broken = results.best, results.contradicted
     exists = best.exists
     as_run = best is results.implemented or best is results.sampled
@@ -82,8 +87,9 @@ def certificates_frame(
         "contradicted": [premise.record() for premise in broken],
         "premises": [premise.record() for premise in results.premises],
         "certificates": _rows(results),
-        "shares": shares_of(near),
-        "shares_of": near.method,
+        "shares": shares_of(causes),
+        "shares_of": causes.method,
+        "shares_nominal": causes is not near,
         "tube": _tube_record(results),
         "facts": _facts(system, results),
         "ms": _milliseconds(began),

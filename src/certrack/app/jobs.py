@@ -12,12 +12,12 @@ from certrack.app.form import with_entries, with_numbers, with_reference_table
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.guarantee import certificates_frame, estimate_frame
 from certrack.app.messages import require_text_size
-from certrack.app.open_design import Designs, OpenDesign, continuous_law
+from certrack.app.open_design import Designs, OpenDesign, continuous_law, nominal_law
 from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
 from certrack.app.written_law import law_frame
 from certrack.certificates.certify import certify
-from certrack.certificates.estimates.estimate import estimate
+from certrack.certificates.estimates.estimate import BoundEstimate, estimate
 from certrack.core import checks
 from certrack.core.errors import CertrackError
 from certrack.systems.shipped import starter
@@ -83,9 +83,14 @@ def _exact(context: JobContext, job: Job, began: float, send: Sender, progress: 
     results = certify(system, job["effort"], progress, warm=design.warm)
     near = estimate(system, warm=design.warm)
     design.warm = near
-    return certificates_frame(
-        system, results, near, effort=job["effort"], design=job["design"], began=began
-    )
+    counters = {"effort": job["effort"], "design": job["design"], "began": began}
+    return certificates_frame(system, results, near, nominal=_nominal(system, near), **counters)
+
+
+def _nominal(system: System, near: BoundEstimate) -> BoundEstimate | None:
+    """A bound that tells its causes, where that of the drive or of ranges does not."""
+    nominal = None if near.shares else nominal_law(system)
+    return None if nominal is None else estimate(nominal)
 
 
 def _describe(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:

@@ -282,7 +282,7 @@ def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Sh
 #: Figures of a tuned design that are shown.
 TUNED_LABELS = {
     "tail_error": "tail error",
-    "peak_input": "peak input",
+    "peak_input": "peak input over the starts",
     "energy": "input energy",
     "input_variation": "variation of input",
     "noise": "gain from noise to input",

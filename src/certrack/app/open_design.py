@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from certrack.app.gains import with_gains
@@ -75,4 +76,15 @@ def continuous_law(system: System) -> System | None:
     try:
         return system.replace(implementation=None)
     except CertrackError:  # a feed-forward that only the sampled loop has
+        return None
+
+
+def nominal_law(system: System) -> System | None:
+    """The continuous law with the constants as they stand; None if there is none."""
+    continuous = continuous_law(system)
+    if continuous is None or not continuous.plant.constant_ranges:
+        return continuous
+    try:
+        return continuous.replace(plant=replace(continuous.plant, constant_ranges=()))
+    except CertrackError:  # a formula elsewhere that rests on the ranges
         return None

@@ -159,6 +159,7 @@ export class Designs {
     Object.assign(state, { before: null, pins: [], window: null, run: null, bound: null });
     if (was?.keepSaved) state.file = was.file ?? null;
     else if (!mended) Object.assign(state, { file: header.file, saved: header.text });
+    document.querySelector(".right").scrollTop = 0;
     this.history.clear();
     this.guarantee.reset();
     if (header.file) remember(header.file.name);

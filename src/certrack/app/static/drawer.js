@@ -1,11 +1,12 @@
 // The drawer over the lower part of the plots, where results of long computations are shown.
 import { element, ownGesture } from "./dom.js";
+import { worded } from "./numbers.js";
 
 const LEAST = 120, MOST = 600, STEP = 20, USUAL = 240;
 
 /** A table of texts and elements. */
 export function table(heads, rows, name = "") {
-  const body = element("tbody", {}, ...rows.map(([head, ...cells]) => element("tr", {}, element("th", { scope: "row" }, head), ...cells.map((cell) => element("td", {}, cell)))));
+  const body = element("tbody", {}, ...rows.map(([head, ...cells]) => element("tr", {}, element("th", { scope: "row" }, ...(typeof head === "string" ? worded(head) : [head])), ...cells.map((cell) => element("td", {}, cell)))));
   const top = heads.some(Boolean) ? element("thead", {}, element("tr", {}, ...heads.map((head) => (head ? element("th", { scope: "col" }, head) : element("td"))))) : "";
   return element("table", { class: `result ${name}` }, top, body);
 }

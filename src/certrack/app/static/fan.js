@@ -34,12 +34,14 @@ export class Fan {
     this.drawer.open(TITLE, [element("div", { class: "split" }, element("div", { class: "fan-side" }, this.pick, this.chart), this.facts)], () => this.destroy());
   }
 
-  lines({ members, seed, outcomes, violations, limit_text: limit, limit_origin: origin }, early) {
+  lines({ members, seed, levels, outcomes, violations, limit_text: limit, limit_origin: origin }, early) {
     if (early) return [`The first ${members} members; more are on their way.`];
     const lines = [`${members} members, seed ${seed}: ${Object.entries(outcomes).map(([name, n]) => `${n} ${name}`).join(", ")}.`];
+    const inner = [...levels].filter((level) => level < 0.5).map((level) => `${Number((100 - 200 * level).toPrecision(3))} %`);
+    lines.push(`The line is the median; bands hold the middle ${inner.reverse().join(", ")} of the members at each time.`);
     if (violations) {
       const [low, high] = (violations.interval ?? []).map((value) => format(value, 3));
-      lines.push(`Tail error beyond ${limit} (${origin}): ${violations.count}${violations.interval ? `, probability within ${low} to ${high} (95 %)` : ""}.`);
+      lines.push(`${violations.count} with a tail error beyond ${limit} (${origin})${violations.interval ? `; the probability of one is between ${low} and ${high} (95 % confidence)` : ""}.`);
     }
     return lines;
   }
@@ -53,7 +55,7 @@ export class Fan {
     const unit = { e_1: units[0], u: units.at(-1) }[this.signal] ?? units[signals.indexOf(this.signal) - 1] ?? "";
     this.plot = new Plot(this.chart, {
       id: "fan", alone: true, title: `${letter}${index}`, unit, last: true,
-      series: levels.map((level) => ({ label: `${format(100 * level, 3)} %`, color: "--line-1", width: level === 0.5 ? 1.5 : 0.5, hidden: level !== 0.5 })),
+      series: levels.map((level) => ({ label: level === 0.5 ? "median" : `${format(100 * level, 3)} %`, color: "--line-1", width: level === 0.5 ? 1.5 : 0.5, hidden: level !== 0.5 })),
       bands: pairs.map(([low, high]) => ({ of: [high, low], color: "--fan" })),
     }, { window: () => [0, state.system.duration], zoom: () => {}, time: () => {}, redraw: () => {} });
     this.fill();

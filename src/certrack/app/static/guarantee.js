@@ -1,6 +1,6 @@
 // The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
 import { byId, element, style, write } from "./dom.js";
-import { change, format } from "./numbers.js";
+import { change, format, worded, writeWords } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
 const RUNGS = {
@@ -57,7 +57,7 @@ export class Guarantee {
     write(big.children[1], bound ? (bound.bound ? bound.text : "none") : "—");
     write(big.children[2], bound?.bound ? unit : "");
     style(big, `big ${kind === "exact" || kind === "refining" ? "" : kind === "contradicted" ? "struck" : "muted"}`);
-    write(byId("meaning"), this.meaning(bound, kind));
+    writeWords(byId("meaning"), this.meaning(bound, kind));
     const now = worst && worst.design === design ? worst : null;
     this.ladder(header, now, bound, worst && !now);
     this.alarm(now, bound, unit);
@@ -74,6 +74,7 @@ export class Guarantee {
     if (!bound.bound) return bound.reason || "no certificate";
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
     if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
+    if (bound.exact && bound.refining && bound.reason.startsWith("of the continuous law")) return "largest |e₁| once settled, of the continuous law, by the fast proof; the finer one, of the loop as the drive runs it where that can be proven, is on its way";
     if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
     const all = "largest |e₁| once settled, for everything the premises admit";
     if (!bound.exact) return `${all}: estimated, which proves nothing; the proof follows`;
@@ -108,7 +109,7 @@ export class Guarantee {
       box.children[3 * k + 1].firstChild.style.transform = `scaleX(${value ? Math.min(1, value / most) : 0})`;
       write(box.children[3 * k + 2], text ?? "—");
     });
-    box.children[6].textContent = bound && !bound.exact ? "estimated" : "certified";
+    box.children[6].textContent = bound?.contradicted?.length ? "not certified" : bound && !bound.exact ? "estimated" : "certified";
     box.setAttribute("aria-label", `simulated ${header.texts.tail_error}, ${worst ? `worst found ${worst.text}, ` : ""}${bound?.bound ? `bound ${bound.text}` : "no bound"}`);
   }
 
@@ -118,7 +119,7 @@ export class Guarantee {
     const names = Object.keys(system.metrics);
     if (body.rows.length !== names.length + 1) {
       body.textContent = "";
-      const row = (label, small) => body.append(element("tr", {}, element("th", { scope: "row" }, label, small ? element("small", {}, ` ${small}`) : null), element("td"), element("td"), element("td")));
+      const row = (label, small) => body.append(element("tr", {}, element("th", { scope: "row", title: small ? `${label}, ${small}` : label }, ...worded(label), small ? element("small", {}, ` ${small}`) : null), element("td"), element("td"), element("td")));
       row("certified bound", unit);
       for (const name of names) row(system.metrics[name].replace(" [s]", ""), units[name] ?? (name === "settling_time" ? "s" : ""));
     }
@@ -129,8 +130,9 @@ export class Guarantee {
       write(cells[3], shift);
       style(cells[3], better && shift[0] === "−" ? "down" : better && shift[0] === "+" ? "up" : "");
     };
-    const alike = bound?.exact && !(bound.refining && before?.bound?.effort === "default"); // a fast proof may be worse than the finer one
-    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, alike ? bound.bound : null, true);
+    const alike = bound?.exact && !bound.contradicted?.length && bound.effort === before?.bound?.effort; // a fast proof may be worse than the finer one
+    fill(0, before?.bound?.text, bound?.contradicted?.length ? "none" : bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, alike ? bound.bound : null, true);
+    body.rows[0].cells[1].title = before?.bound?.effort === "fast" ? "by the fast proof: the finer one had not come" : "";
     const same = before?.run?.header.sampled === header.sampled;
     names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
   }
@@ -139,9 +141,9 @@ export class Guarantee {
   proven(exact, system) {
     const facts = byId("facts");
     facts.textContent = "";
-    const unit = system.units[0], rows = [["method", exact.method || "—"], ...exact.facts];
+    const broken = exact.contradicted.length > 0, unit = system.units[0], rows = [["method", exact.method || "—"], ...(broken ? [] : exact.facts)];
     const simulated = this.state.run?.header.metrics.tail_error;
-    if (exact.bound && simulated) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
+    if (exact.bound && simulated && !broken) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
     for (const [name, value] of rows) facts.append(element("dt", {}, name), element("dd", {}, value));
     const body = byId("certificates").tBodies[0];
     body.textContent = "";
@@ -150,7 +152,7 @@ export class Guarantee {
       body.append(element("tr", { class: best ? "best" : "" }, element("th", { scope: "row", title: entry.reason || null }, entry.kind), element("td", {}, entry.bound ? `${entry.text} ${unit}` : "—"), element("td", {}, entry.verified ? "verified" : "—")));
     }
     write(byId("certificate-count"), `${exact.certificates.filter((entry) => entry.verified).length} verified`);
-    this.premises(exact.premises, exact.contradicted.length > 0);
+    this.premises(exact.premises, broken);
   }
 
   premises(premises, broken) {
@@ -158,8 +160,8 @@ export class Guarantee {
     list.textContent = "";
     for (const premise of [...premises].sort((a, b) => STATUSES.indexOf(a.status) - STATUSES.indexOf(b.status))) {
       counts.set(premise.status, (counts.get(premise.status) ?? 0) + 1);
-      const item = element("li", { class: premise.status }, element("span", { class: "vh" }, `${premise.status}: `), element("b", {}, premise.name), ` ${premise.detail}`);
-      if (premise.remedy) item.append(element("em", {}, ` ${premise.remedy}`));
+      const item = element("li", { class: premise.status }, element("span", { class: "vh" }, `${premise.status}: `), element("b", {}, ...worded(premise.name)), " ", ...worded(premise.detail));
+      if (premise.remedy) item.append(element("em", {}, " ", ...worded(premise.remedy)));
       list.append(item);
     }
     write(byId("premise-count"), STATUSES.filter((status) => counts.has(status)).map((status) => `${counts.get(status)} ${status}`).join(", "));
@@ -170,7 +172,7 @@ export class Guarantee {
   since(bound) {
     const { before, system } = this.state, was = bound?.effort === "default" ? before?.bound : before?.fast;
     const alike = was?.bound && bound?.bound && was.method === bound.method && was.shares_of === bound.shares_of && (bound.effort !== "default" || was.effort === "default");
-    if (!alike || Math.abs(bound.bound / was.bound - 1) < LEAST_CHANGE) return "";
+    if (!alike || bound.sharesBefore || Math.abs(bound.bound / was.bound - 1) < LEAST_CHANGE) return "";
     const parts = new Map(bound.shares.map(([name, share]) => [name, share * bound.bound]));
     for (const [name, share] of was.shares) parts.set(name, (parts.get(name) ?? 0) - share * was.bound);
     const rose = bound.bound > was.bound, most = [...parts].filter(([, by]) => by > 0 === rose).sort(([, a], [, b]) => Math.abs(b) - Math.abs(a)).slice(0, 2);
@@ -183,6 +185,7 @@ export class Guarantee {
   budget(bound) {
     const box = byId("budget"), rows = [...(bound?.shares ?? [])].sort(([a], [b]) => (a < b ? -1 : 1));
     byId("budget-card").hidden = !rows.length;
+    style(box, bound?.sharesBefore ? "bars old" : "bars");
     const key = rows.map(([name]) => name).join();
     if (this.shown !== key || box.childElementCount !== rows.length) {
       this.shown = key;
@@ -196,7 +199,8 @@ export class Guarantee {
     write(byId("budget-of"), bound?.shares_of && bound.shares_of !== bound.method ? `in the ${bound.shares_of}` : "");
     write(byId("budget-change"), this.since(bound));
     const most = rows.reduce((best, row) => (best && best[1] >= row[1] ? best : row), null);
-    write(byId("budget-hint"), most ? `A tenth less of the largest part (${cause(most[0])}) lowers the bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
+    const [begin, whose] = bound?.shares_nominal ? ["Of the continuous law, with the constants as they stand: a", "its"] : ["A", "the"];
+    write(byId("budget-hint"), most ? `${begin} tenth less of the largest part (${cause(most[0])}) lowers ${whose} bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
   }
 }
 
@@ -215,11 +219,13 @@ function widenings(remedy, form) {
   });
 }
 
+const lowered = (digits) => digits.replaceAll(/\d/g, (digit) => "₀₁₂₃₄₅₆₇₈₉"[digit]);
+
 /** What adds to a bound, in words. */
 export function cause(name) {
   const state = /^w_(\d+) \(state\)/.exec(name), disturbance = /^w_(\d+)/.exec(name), order = /^y_d\^\((\d+)\)/.exec(name);
-  if (state) return `disturbance w${state[1]}, its growth with the state`;
-  if (disturbance) return `disturbance w${disturbance[1]}`;
+  if (state) return `disturbance w${lowered(state[1])}, its growth with the state`;
+  if (disturbance) return `disturbance w${lowered(disturbance[1])}`;
   if (order) return order[1] === "0" ? "reference" : `derivative ${order[1]} of the reference`;
   return name === "estimates" ? "unknown parameters" : name;
 }

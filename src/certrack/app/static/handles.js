@@ -20,10 +20,15 @@ export class Handles {
       entry.grip.remove();
       this.made.delete(id);
     }
-    for (const handle of wanted) {
-      const entry = this.made.get(handle.id) ?? this.make(handle.id), { over } = u, { box } = this.plot;
+    const { over } = u, { box } = this.plot, taken = [];
+    const place = (y) => Math.min(over.clientHeight - HALF, Math.max(HALF, u.valToPos(y, "y"))), off = (y) => Math.abs(place(y) - u.valToPos(y, "y"));
+    for (const handle of [...wanted].sort((a, b) => off(a.y) - off(b.y))) { // those on their lines first: the rest give way
+      const entry = this.made.get(handle.id) ?? this.make(handle.id);
       entry.handle = handle;
-      const at = Math.min(over.clientHeight - HALF, Math.max(HALF, u.valToPos(handle.y, "y")));
+      let at = place(handle.y);
+      const by = at < over.clientHeight / 2 ? 2 * HALF : -2 * HALF;
+      while (taken.some((other) => Math.abs(other - at) < 2 * HALF)) at += by;
+      taken.push(at);
       entry.grip.style.top = `${box.offsetTop + over.offsetTop + (Number.isFinite(at) ? at : HALF)}px`;
       entry.grip.style.left = `${box.offsetLeft + over.offsetLeft + over.clientWidth - WIDTH}px`;
       entry.grip.className = handle.idle ? "limit-grip idle" : "limit-grip";

@@ -16,7 +16,8 @@ export function showLaw({ plant, law, notes }) {
       box.append(element("p", { class: "formula" }, formula(text), label));
     }
   }
-  for (const line of notes) box.append(element("p", { class: "sub" }, line));
+  if (plant.some(([text]) => text.startsWith("v' ="))) box.append(element("p", { class: "sub" }, "v is a state; ν (nu) is what u would be if its gain were 1"));
+  for (const line of notes) box.append(element("p", { class: "sub" }, line.replace(/^kappa/, "κ")));
 }
 
 /** A formula of plain text with letters, indices and powers as they are written by hand. */
@@ -36,6 +37,8 @@ function part(token) {
   if (order) return element("var", {}, nameElement("y_d"), element("sup", {}, `(${order[1]})`));
   if (token === "*") return "\u202f·\u202f"; // a line ends before a sign, not within a product
   if (token === "-") return "−";
+  const powered = /^([\d.]+)e([+-]?)0*(\d+)$/.exec(token);
+  if (powered) return element("span", { class: "whole" }, `${powered[1]}·10`, element("sup", {}, `${powered[2] === "-" ? "−" : ""}${powered[3]}`));
   if (!/^[A-Za-z_]/.test(token)) return token;
   const name = token.replace(/'$/, "");
   if (CALLED.test(name)) return token;

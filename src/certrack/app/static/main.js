@@ -177,7 +177,9 @@ function run({ header, rows, design, view }) {
 
 function estimate(header, design) {
   if (state.bound?.exact && state.bound.design >= design) return; // proven already
-  state.bound = { ...header, design, exact: false };
+  const { shares = [], shares_of, shares_nominal } = state.bound ?? {}; // of the design before, until the proof tells
+  const causes = header.shares.length ? {} : { shares, shares_of, shares_nominal, sharesBefore: true };
+  state.bound = { ...header, ...causes, design, exact: false };
   state.boundTime = header.ms;
   frame();
 }
@@ -190,7 +192,7 @@ function exact(header, design) {
   guarantee.proven(header, state.system);
   if (header.effort === "fast") state.fast = state.bound;
   if (state.before?.design === design) Object.assign(state.before, { bound: state.bound, fast: fastOf(design) });
-  write(byId("announce"), header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
+  write(byId("announce"), header.contradicted.length ? "A premise is contradicted: no certified bound" : header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
   if (state.run) responses.describe(state.system, state.run, state.bound);
   frame();
 }

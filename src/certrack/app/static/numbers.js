@@ -74,3 +74,25 @@ export function nameElement(name, tag = "span") {
   }
   return element;
 }
+
+const SYMBOL = new RegExp(`(?<![\\w.])((?:[A-Za-z]|${Object.keys(GREEK).join("|")})_(?:\\d+|[a-z]))(?:\\^\\((\\d+)\\))?(?!\\w)`);
+
+/** A text in words whose symbols, such as e_1 and y_d^(2), are set as mathematics: a list of texts and elements. */
+export function worded(text) {
+  const parts = text.replaceAll("<=", "≤").replaceAll("||", "‖").split(SYMBOL), said = [];
+  for (let k = 0; k < parts.length; k += 3) {
+    said.push(parts[k]);
+    if (k + 1 === parts.length) break;
+    const symbol = nameElement(parts[k + 1]), order = Number(parts[k + 2] ?? 0);
+    if (order) symbol.append(Object.assign(document.createElement("sup"), { textContent: `(${order})` }));
+    said.push(symbol);
+  }
+  return said;
+}
+
+/** Set such a text if it differs from the one that stands there. */
+export function writeWords(target, text) {
+  if (target.dataset.words === text) return;
+  target.dataset.words = text;
+  target.replaceChildren(...worded(text));
+}

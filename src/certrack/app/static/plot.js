@@ -130,10 +130,11 @@ export class Plot {
     return [least - margin, most + margin];
   }
 
-  /** Down to an eighth of the bound, in full decades. */
+  /** Full decades, from an eighth of the settled error or of the bound, the smaller, up to what is drawn and its limits. */
   logRange(high) {
-    const floor = 10 ** Math.floor(Math.log10(this.linear / 8));
-    return [Math.max(floor, 1e-15), 10 ** Math.ceil(Math.log10(Math.max(high ?? 1, 10 * floor)) - 0.02)];
+    const floor = 10 ** Math.floor(Math.log10(Math.min(this.linear, this.settled || this.linear) / 8));
+    const fitted = (this.spec.limits?.(this) ?? []).filter((limit) => limit.fit).map((limit) => limit.y);
+    return [Math.max(floor, 1e-15), 10 ** Math.ceil(Math.log10(Math.max(high ?? 1, 10 * floor, ...fitted)) - 0.02)];
   }
 
   signedSplits(low, high) {
@@ -196,11 +197,12 @@ export class Plot {
     const context = u.ctx, ratio = devicePixelRatio, { left, top, width, height } = u.bbox;
     const taken = [];
     const limits = this.spec.limits?.(this) ?? [], gripped = limits.some((limit) => limit.grip);
-    for (const { y, color, dash = [7, 4], label, below, grip } of limits) {
+    for (const { y, color, dash = [7, 4], label: name, below, grip } of limits) {
       let at = u.valToPos(y, "y", true);
       const beyond = at < top - 1 ? -1 : at > top + height + 1 ? 1 : 0;
       if (!Number.isFinite(at) || (beyond && !grip)) continue;
       if (beyond) at = beyond < 0 ? top : top + height;
+      const label = name && beyond ? `${name} ${beyond < 0 ? "↑" : "↓"}` : name; // farther than the axis goes
       context.save();
       context.strokeStyle = token(color);
       context.lineWidth = 1.5 * ratio;
@@ -218,7 +220,11 @@ export class Plot {
         if (beyond) middle = at - 10 * beyond * ratio;
         if (middle < top + 8 * ratio) middle = at + 10 * ratio;
         if (middle > top + height - 8 * ratio) middle = at - 10 * ratio;
-        while (taken.some((other) => Math.abs(other - middle) < 14 * ratio)) middle += (below ? 14 : -14) * ratio;
+        let step = (below ? 14 : -14) * ratio;
+        while (taken.some((other) => Math.abs(other - middle) < 14 * ratio)) {
+          middle += step;
+          if (middle < top + 8 * ratio) step = 14 * ratio; // there is no room above: below the others
+        }
         taken.push(middle);
         context.globalAlpha = 0.8;
         context.fillStyle = this.colors.panel;

@@ -117,8 +117,8 @@ export class Responses {
   errorLimits(plot, unit) {
     const { bound, worst, design } = this.state, limits = [], shown = unit ? ` ${unit}` : "";
     if (bound?.bound) {
-      const word = bound.exact ? "certified" : "estimated";
-      limits.push({ y: bound.bound, color: "--bound", label: `${word} ${bound.text}${shown}` });
+      const word = bound.contradicted?.length ? "not certified" : bound.exact ? "certified" : "estimated";
+      limits.push({ y: bound.bound, color: "--bound", label: `${word} ${bound.text}${shown}`, fit: plot.mode === "log" });
       if (plot.mode !== "log") limits.push({ y: -bound.bound, color: "--bound" });
     }
     limits.push(...this.tuneLimits("error", unit));
@@ -215,6 +215,7 @@ export class Responses {
     if (!run || !system) return;
     if (this.of !== system) Object.assign(this, { of: system, dragged: null });
     this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
+    this.error.settled = run.header.metrics.tail_error;
     if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
     for (const plot of this.plots) plot.set(plot.curves(run.times, plot));
   }

@@ -36,6 +36,7 @@ export class Slider {
     this.track.addEventListener("pointerdown", (event) => this.press(event));
     this.track.addEventListener("dblclick", (event) => this.set(this.base, event, true));
     this.track.addEventListener("keydown", (event) => this.key(event));
+    for (const over of ["keyup", "blur"]) this.track.addEventListener(over, () => this.commitKeys());
     this.field.addEventListener("change", (event) => this.type(event));
     this.field.addEventListener("keydown", (event) => {
       if (event.key === "Escape") this.field.value = format(this.value);
@@ -103,7 +104,14 @@ export class Slider {
     else if (event.key === "Delete" || event.key === "Backspace") value = this.base;
     else return;
     event.preventDefault();
-    if (!this.refused()) this.set(value, event, true);
+    if (this.refused()) return;
+    this.keyed = true; // one gesture until the key is let go
+    this.set(value, event);
+  }
+
+  commitKeys() {
+    if (this.keyed) this.on.commit();
+    this.keyed = false;
   }
 
   type(event) {

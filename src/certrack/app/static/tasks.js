@@ -20,7 +20,7 @@ export class Tasks {
     this.made = null;
     this.drawer = new Drawer(byId("drawer"));
     this.fan = new Fan(state, this.drawer);
-    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note, limits: (limits) => this.limits(limits) });
+    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note, units: () => state.system.units, limits: (limits) => this.limits(limits) });
     byId("tasks").addEventListener("click", (event) => {
       const task = event.target.dataset?.task;
       if (task) this.press(task);
@@ -175,8 +175,8 @@ export class Tasks {
 
   margins(header) {
     const unit = this.state.system.units[0];
-    const rows = header.rows.map((row) => [row.label, row.within, row.bounded, row.exact]);
-    const lines = [`Admitted tail error ${header.error} ${unit} (${header.origin}); ${header.members} members tried at every value, which proves nothing.`, `Delay and saturation at a period of ${header.at} s.`];
+    const rows = header.rows.map((row) => [row.label, row.within, row.bounded, row.exact === "-" ? "—" : row.exact]);
+    const lines = ["Within the error: no member tried has a larger tail error. Bounded: every one still follows, however badly. Exact edge: where the nominal loop becomes unstable, computed.", `Admitted tail error ${header.error} ${unit} (${header.origin}); ${header.members} members tried at every value, which proves nothing.`, `Delay and saturation at a period of ${header.at} s.`];
     if (header.as_stated) lines.push(`The drive as it stands in the file: tail error ${header.as_stated} ${unit}.`);
     this.drawer.open("Margins of the implementation", [table(["margin", "within the error", "bounded", "exact edge"], rows), ...lines.map(sentence)]);
     this.on.note("Margins are done.");
