@@ -338,9 +338,9 @@ def test_a_bound_from_some_starts_says_so(name, starts):
     assert told == ([f"the certified error after holds {starts}"] if starts else [])
 
 
-OF_DRIVE = replace(UNMEASURED, certified=0.0179, worst_found=0.011, method="implemented")
+OF_DRIVE = replace(UNMEASURED, certified=0.5, worst_found=0.3, method="implemented")
 OF_LAW = replace(
-    UNMEASURED, certified=0.00158, worst_found=0.001, method="cells", continuous_only="not yet"
+    UNMEASURED, certified=0.125, worst_found=0.1, method="cells", continuous_only="not yet"
 )
 
 
@@ -351,23 +351,23 @@ def test_before_and_after_are_bounds_of_the_same_loop(monkeypatch, turned):
 
     def proof(of, **_):
         asked.append(of.implementation)
-        return Certificate("cells", 0.0114, verified=True)
+        return Certificate("cells", 0.25, verified=True)
 
     monkeypatch.setattr(measure_room, "certified", proof)
-    monkeypatch.setattr(measure_room, "_falsified", lambda of, seed, as_implemented: 0.009)
+    monkeypatch.setattr(measure_room, "_falsified", lambda of, seed, as_implemented: 0.2)
     pairs = [(system, OF_DRIVE), (system, OF_LAW)]
     before, after = alike(*(pairs[::-1] if turned else pairs), 0)
     drive, law = (after, before) if turned else (before, after)
     assert asked == [None]
-    assert drive == replace(OF_DRIVE, continuous=ContinuousFigures(0.0114, 0.009))
-    assert law == replace(OF_LAW, continuous=ContinuousFigures(0.00158, 0.001))
+    assert drive == replace(OF_DRIVE, continuous=ContinuousFigures(0.25, 0.2))
+    assert law == replace(OF_LAW, continuous=ContinuousFigures(0.125, 0.1))
     found = Tuned(system, "error", before, after, (), (), 1, (1,), 0)
-    columns = [["0.0179", "-"], ["0.011", "-"], ["0.0114", "0.00158"], ["0.009", "0.001"]]
+    columns = [["0.5", "-"], ["0.3", "-"], ["0.25", "0.125"], ["0.2", "0.1"]]
     rows = [list(row[1:]) for row in tuned_table(found, None).rows[:4]]
     assert rows == [column[::-1] if turned else column for column in columns]
     labels = [pair[0][0] for pair in tuned_bounds(found)]
     assert labels == [f"certified error, {of}" for of in ("as the drive runs it", "continuous law")]
-    smaller = "0.0114" if turned else "0.00158"
+    smaller = "0.25" if turned else "0.125"
     assert any(f"certified {smaller} (" in line for line in remarks(found, "a file"))
     assert any("not better" in line for line in warnings(found)) == turned
     assert smaller in repr(found)
@@ -402,11 +402,11 @@ def test_the_continuous_law_of_a_drive_is_certified_and_attacked():
 
 def test_the_designer_shows_the_same_rows(monkeypatch):
     system = certrack.load("dual-motor-drive")
-    both = [replace(f, continuous=ContinuousFigures(0.0114, 0.009)) for f in (OF_DRIVE, OF_LAW)]
+    both = [replace(f, continuous=ContinuousFigures(0.25, 0.2)) for f in (OF_DRIVE, OF_LAW)]
     found = Tuned(system, "error", *both, (), (), 1, (1,), 0)
     monkeypatch.setattr(module, "tune", lambda *_, **__: found)
     header, _ = long_tasks._tune(system, {}, silent, None)
     labels = ["certified error", "worst error found"]
     of = [", as the drive runs it", ", continuous law"]
     assert [row[0] for row in header["table"][:4]] == [label + o for o in of for label in labels]
-    assert header["table"][0][1] == "0.0179" and header["table"][2][1:] == ["0.0114", "0.0114"]
+    assert header["table"][0][1] == "0.5" and header["table"][2][1:] == ["0.25", "0.25"]

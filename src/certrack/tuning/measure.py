@@ -179,8 +179,7 @@ def alike(
     progress : callable
         Gets what :func:`~certrack.certify` reports.
     """
-    proven = [figures for _, figures in (first, second) if figures.method]
-    if len({figures.of_drive for figures in proven}) < len(proven):
+    if len({figures.of_drive for _, figures in (first, second) if figures.method}) < 2:
         return first[1], second[1]
     both = []
     for system, figures in (first, second):

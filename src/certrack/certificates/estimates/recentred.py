@@ -34,9 +34,9 @@ CENTRE_FLOOR = 1e-8
 #: What the solver is asked for in these units; beyond, it stops for its roundings.
 SOLVER_ACCURACY = 1e-10
 
-#: A point counts whose optimality has no larger residual in these units. Where many P are optimal, a
-#: solution wanders over them from round to round, and in the units of one far out the solver stops
-#: as solved at 1e3 and more, with a bound that is 5 % too large; those that count have 1e-5 at most.
+#: A point counts whose optimality has no larger residual in these units. Where many P are optimal,
+#: solutions wander over them from round to round, and in the units of one far out the solver stops
+#: as solved at 1e3 and more, with a bound that is 5 % too large. Those that count have 1e-5.
 LARGEST_RESIDUAL = 1.0
 
 #: Rounds at most, and how far P~ may be from I after the last.
