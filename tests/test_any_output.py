@@ -15,7 +15,7 @@ from certrack.certificates.exact import decimal_text, from_text
 from certrack.certificates.input_bounds import peak_square
 from certrack.certificates.state_bounds import certify_state, state_problem
 from certrack.core.errors import InputError
-from certrack.integrators.base import MethodUnavailable
+from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.integrators.many.native import vector_compiler
 from certrack.integrators.many.numpy_batch import NumpyBatch
 from certrack.studies.falsifier import claims
@@ -261,6 +261,32 @@ def test_what_the_start_leaves_is_no_alarm():
     run = certrack.simulate(far)
     hardly = replace(claim, proof=replace(claim.proof, alpha="100"))  # forgets at once
     assert claims.output_alarm(far, found.output, hardly, far, run).kind == "defect"
+
+
+def test_a_run_that_leaves_the_domain_of_the_drift_is_an_alarm():
+    """The run of the file ends before its tail, where nothing is left to be compared."""
+    system = certrack.System(
+        plant=certrack.Plant(
+            states=["x1", "x2"],
+            chain=[1],
+            drift="sqrt(x1 + 0.3)",
+            input_gain=1,
+            gain_sign=1,
+            uncertainty={"tau": [1, 1], "gamma": [0, 0], "beta": [0.3, 0.3]},
+        ),
+        law=certrack.Robust(c=[2, 2]),
+        reference=certrack.SymbolicReference("0.4*cos(t)"),
+        truth=certrack.Truth(input_gain=1),
+        settings=certrack.Settings(x0=[0.4, 0], duration=10),
+    )
+    run, output = certrack.simulate(system), output_named(system, "x2")
+    assert run.outcome is Outcome.undefined
+    claim = output_claim(system, output, "fast", lambda *_: None)
+    assert claim.exists
+    assert not claim.verified
+    raised = claims.output_alarm(system, output, claim, system, run)
+    assert raised.kind == "premise"
+    assert "domain" in raised.reason
 
 
 def test_names_of_outputs():

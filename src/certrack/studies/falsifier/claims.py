@@ -24,6 +24,7 @@ from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.state_bounds import certify_state
 from certrack.core.progress import Progress
+from certrack.integrators.base import Outcome
 from certrack.references.base import bound_of
 from certrack.simulation.run import Run
 from certrack.studies.falsifier.alarm import RUN_ROUNDING, Alarm, alarm, why_beyond
@@ -142,6 +143,8 @@ def output_alarm(
         raised = alarm(system, case, run, claim.methods.best, claim.methods.stages)
         if raised is not None:
             return raised
+    if run.outcome is Outcome.undefined:  # of what comes after its end there are no values to see
+        return why_beyond(system, case, run)
     slack = RUN_ROUNDING * case.settings.tolerance
     slack *= max(1.0, float(np.abs(output.values(run)).max(initial=0.0)))
     if output.tail(run) <= claim.bound + _of_start(case, claim) + slack:
