@@ -1,9 +1,4 @@
-"""The best quadratic function on a box, by Clarabel: the smallest bounds of some rows.
-
-The program is in units of its own, so Clarabel need not equilibrate it: that costs half as many
-iterations again, of which more end short of the accuracy. Nor need it refine its steps: what the
-search returns is rounded and proven in exact arithmetic anyway.
-"""
+"""The best quadratic function on a box, by Clarabel: the smallest bounds of some rows."""
 
 from __future__ import annotations
 
@@ -115,7 +110,6 @@ class BootstrapProgram:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = MAX_ITERATIONS
-        settings.equilibrate_enable = settings.iterative_refinement_enable = False  # see above
         solver = clarabel.DefaultSolver(
             sparse.csc_matrix((self._count, self._count)),
             cost,
