@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from certrack.tuning.result import Tuned
 
 #: Of which loop a figure is.
-AS_RUN, CONTINUOUS = ", as the drive runs it", ", continuous law"
+AS_RUN, WITHOUT_DRIVE = ", as the drive runs it", ", continuous law"
 
 #: A loop that is stable only below so many times its period is warned of.
 PERIODS_FOR_COMFORT = 3.0
@@ -37,9 +37,9 @@ def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
         ("longest stable period [s]", "period"),
     ]
     rows: list[list[object]] = []
-    for proven, found in tuned_bounds(result):
+    for proven, worst in tuned_bounds(result):
         rows.append([labelled(proven[0], y), *(printed_bound(bound, 5) for bound in proven[1:])])
-        rows.append([labelled(found[0], y), *found[1:]])
+        rows.append([labelled(worst[0], y), *worst[1:]])
     for label, name in entries:
         rows.append([label, getattr(result.before, name), getattr(result.after, name)])
     return table("", ["", "before", "after"], rows)
@@ -64,17 +64,17 @@ def tuned_bounds(result: Tuned) -> list[tuple[Labelled, Labelled]]:
     list of pairs
         The certified error and the worst that is found, each with its label.
     """
-    certified, found = "certified error", "worst error found"
+    error_label, worst_label = "certified error", "worst error found"
     before, after = result.before, result.after
     if before.continuous is None or after.continuous is None:
         kinds = {figures.of_drive for figures in (before, after) if figures.method}
         of = ""
         if result.system.implementation is not None and len(kinds) == 1:
-            of = AS_RUN if kinds.pop() else CONTINUOUS
+            of = AS_RUN if kinds.pop() else WITHOUT_DRIVE
         return [
             (
-                (certified + of, before.certified, after.certified),
-                (found, before.worst_found, after.worst_found),
+                (error_label + of, before.certified, after.certified),
+                (worst_label, before.worst_found, after.worst_found),
             )
         ]
     run = [
@@ -86,8 +86,8 @@ def tuned_bounds(result: Tuned) -> list[tuple[Labelled, Labelled]]:
         for figures in (before.continuous, after.continuous)
     ]
     return [
-        ((certified + of, x[0], y[0]), (found + of, x[1], y[1]))
-        for of, (x, y) in ((AS_RUN, run), (CONTINUOUS, pairs))
+        ((error_label + of, x[0], y[0]), (worst_label + of, x[1], y[1]))
+        for of, (x, y) in ((AS_RUN, run), (WITHOUT_DRIVE, pairs))
     ]
 
 

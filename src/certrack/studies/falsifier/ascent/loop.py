@@ -38,7 +38,7 @@ CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 #: A piece of the reference lasts this part of the time from it to the end, at least so many steps,
 #: and not longer than this part of the time in which the reference can turn: y_d that turned long
 #: ago matters where estimates forget slowly. Pieces at most, whatever their length.
-PIECE_PART, LEAST_PIECE, TURNING_PART, MOST_PIECES = 0.07, 2, 0.5, 400
+PIECE_PART, LEAST_PIECE, TURNING_PART, MAX_REFERENCE_PIECES = 0.07, 2, 0.5, 400
 
 #: Pieces by which a reference comes to rest after the end.
 RESTING_PIECES = 24
@@ -150,7 +150,9 @@ class ControlledLoop:
         count, step = self._steps()
         self.widths = np.full(finer * count, step / finer)
         turning = TURNING_PART * turning_time(self.bounds) / step
-        self.piece_steps = finer * _pieces(count, max(int(turning), -(-count // MOST_PIECES)))
+        self.piece_steps = finer * _pieces(
+            count, max(int(turning), -(-count // MAX_REFERENCE_PIECES))
+        )
 
     def _steps(self) -> tuple[int, float]:
         poles = self.system.controller.coordinates.poles
