@@ -486,12 +486,12 @@ def test_check_knows_the_period():
     assert found.sound and status["poles x period"] == status["sampled stability"] == "fine"
     status, found = findings(period=0.1)
     assert status["poles x period"] == "warning"
+    assert status["sampled stability"] == "fault" and not found.sound
     (remedy,) = (f.remedy for f in found.findings if f.name == "poles x period")
     advised = float(re.search(r"a period of (\S+) s or less", remedy)[1])
     for period, expected in ((advised, "fine"), (1.1 * advised, "note")):
         status, found = findings(period=period)
         assert status["poles x period"] == expected, "the delay counts in what is advised"
-    assert status["sampled stability"] == "fault" and not found.sound
     loop, delay = linear_loop(drive), drive.implementation.delay
     edge = brentq(lambda period: loop.radius(period, delay) - 1, 0.01, 0.1)
     assert findings(period=0.98 * edge)[0]["sampled stability"] == "fine"
