@@ -14,7 +14,6 @@ from certrack.cli import cli, console
 from certrack.core.rounding import rounded_range
 from certrack.reports.certificates import certificates_notes
 from certrack.reports.tables import short_number
-from certrack.tuning import certified as certified_room
 from certrack.tuning import measure as measure_room
 from certrack.tuning import tune as tune_room
 from certrack.tuning.candidate import Candidate
@@ -90,7 +89,6 @@ def test_steps_have_the_names_of_what_is_at_work(monkeypatch):
         return noted
 
     for room, name in (
-        (certified_room, "certify_ranges"),
         (certify_room, "certify_implemented"),
         (measure_room, "falsify"),
         (measure_room, "simulate"),
@@ -99,7 +97,6 @@ def test_steps_have_the_names_of_what_is_at_work(monkeypatch):
     system = certrack.load("motor-shaft-load").with_settings(duration=0.1)
     measure_room.figures_of(system, None, 0, "fast", lambda done, *_: at.append(done))
     assert calls == {
-        "certify_ranges": "cells or bootstrap",
         "certify_implemented": "loop as the drive runs it",
         "falsify": "falsifier",
         "simulate": "simulation",

@@ -22,6 +22,7 @@ TAIL = RUNNING / 10
 def frame(lipschitz=None):
     """Two lags, one w, one measured state; Y = (1, 2, 5), mu = 3, eta = 7, T = 1/2."""
     made = object.__new__(FromStarts)
+    made._affine = None
     made.drive = SimpleNamespace(
         Y=[q(1), q(2), q(5)], lipschitz=lipschitz, mu=[q(3)], eta=q(7), T=q("0.5"), n=1
     )
@@ -35,7 +36,7 @@ def frame(lipschitz=None):
 def test_constants_are_added_period_by_period(monkeypatch, lipschitz, sample):
     """r and first times Y_2, noise mu, sample by its bound, steps eta; the rest of Y at rest."""
     at_rest = {"first": [q("0.5"), q(1)], "second": [q(2), q(0)]}
-    monkeypatch.setattr(start, "steady", lambda period, row: map(flint.arb, at_rest[row]))
+    monkeypatch.setattr(start, "steady", lambda period, row: at_rest[row])
     made = frame(lipschitz)
     made._set_constants(1)
     bounds = np.array([5.0, 3.0, sample, 7.0, 5.0])
@@ -100,6 +101,7 @@ def loop_of_two(K=3):
     """A frame with an uncertain term of size 0.1 ||(x_1, 2 x_2)|| + 0.2 |x_2| + 0.3."""
     rng = np.random.default_rng(6)
     made = object.__new__(FromStarts)
+    made._affine = None
     made.drive = SimpleNamespace(
         sized=2, W=SimpleNamespace(ncols=lambda: 1), uncertain=[SimpleNamespace(growing=None)]
     )
