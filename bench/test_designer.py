@@ -3,7 +3,6 @@
 import asyncio
 import importlib.util
 import os
-import shutil
 import statistics
 import sys
 import time
@@ -14,8 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from app_client import PATIENCE, page, running
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+from app_page import CHROMIUM, EXACT
 
 #: Milliseconds from an input event to its paint, median and 95 %, on a quiet machine of two cores.
 GOAL_MEDIAN, GOAL_LATE = 40, 80
@@ -31,8 +29,6 @@ RENDERED, MOST_GROWTH = 3, 200
 
 #: Laws and orders; the damping of the adaptive law is beyond floats at order 8.
 DESIGNS = [("robust", 2), ("robust", 4), ("robust", 8), ("adaptive", 2), ("adaptive", 4)]
-
-EXACT = "lab.state.bound?.exact && lab.state.run?.design === lab.state.bound.design"
 
 
 def chain_text(law, n):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_ascent import random_inputs, short, with_ranges
+from test_ascent import random_inputs, short, slopes_and_differences, with_ranges
 from test_cli import invoke
 from test_exact_worst_case import exact_worst_case, random_third_order
 
@@ -19,7 +19,7 @@ from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.integrators.many.native import vector_compiler
 from certrack.integrators.many.numpy_batch import NumpyBatch
 from certrack.studies.falsifier import claims
-from certrack.studies.falsifier.ascent.loop import AdversaryInputs, ControlledLoop
+from certrack.studies.falsifier.ascent.loop import ControlledLoop
 from certrack.studies.falsifier.claims import OutputClaim, output_claim
 from certrack.studies.falsifier.falsify import falsify
 from certrack.studies.falsifier.loop import AdversarialLoop
@@ -141,22 +141,7 @@ def test_slopes_of_outputs_are_those_of_differences(name):
     sought = output_named(system, name)
     loop = ControlledLoop(system, (0.2, 0.2), sought=sought)
     loop.widths, loop.piece_steps = loop.widths[:40], np.full(10, 4)
-    inputs, along = random_inputs(loop, 3), random_inputs(loop, 3, 1)
-    values, slopes = loop.slopes(inputs)
-    assert values == pytest.approx(loop.errors(inputs))
-    step = 1e-5
-    for i in range(4):
-        parts = [a * (j == i) for j, a in enumerate(along.parts())]
-        there, back = (
-            AdversaryInputs(
-                *(a + sign * step * b for a, b in zip(inputs.parts(), parts, strict=True))
-            )
-            for sign in (1, -1)
-        )
-        wanted = (loop.errors(there) - loop.errors(back)) / (2 * step)
-        found = sum(
-            (a * b).reshape(-1, 3).sum(axis=0) for a, b in zip(slopes.parts(), parts, strict=True)
-        )
+    for wanted, found in slopes_and_differences(loop):
         assert np.abs(wanted).min() > 0
         assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9)
 

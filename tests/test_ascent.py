@@ -65,20 +65,13 @@ def random_inputs(loop, count, seed=0):
     )
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("plant", ["ranges", 4])
-def test_slopes_are_those_of_differences(plant, compiled, monkeypatch):
-    if not compiled:
-
-        def refuse(*_):
-            raise MethodUnavailable("no compiler")
-
-        monkeypatch.setattr("certrack.integrators.controlled.compiled_library", refuse)
-    loop = short(with_ranges() if plant == "ranges" else random_plant(plant))
+def slopes_and_differences(loop):
+    """Of shares, beginning, pieces and constants: differences along them, and what slopes say."""
     inputs, along = random_inputs(loop, 3), random_inputs(loop, 3, 1)
-    _, slopes = loop.slopes(inputs)
+    values, slopes = loop.slopes(inputs)
+    assert values == pytest.approx(loop.errors(inputs))
     step = 1e-5
-    for i in range(4):  # shares, beginning, pieces, constants
+    for i in range(4):
         parts = [a * (j == i) for j, a in enumerate(along.parts())]
         there, back = (
             AdversaryInputs(
@@ -90,6 +83,20 @@ def test_slopes_are_those_of_differences(plant, compiled, monkeypatch):
         found = sum(
             (a * b).reshape(-1, 3).sum(axis=0) for a, b in zip(slopes.parts(), parts, strict=True)
         )
+        yield wanted, found
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("plant", ["ranges", 4])
+def test_slopes_are_those_of_differences(plant, compiled, monkeypatch):
+    if not compiled:
+
+        def refuse(*_):
+            raise MethodUnavailable("no compiler")
+
+        monkeypatch.setattr("certrack.integrators.controlled.compiled_library", refuse)
+    loop = short(with_ranges() if plant == "ranges" else random_plant(plant))
+    for i, (wanted, found) in enumerate(slopes_and_differences(loop)):
         assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9)
         assert loop.ranges.size or i == 3 or np.abs(wanted).min() > 0
 

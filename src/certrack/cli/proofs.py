@@ -13,13 +13,11 @@ from certrack.cli.base import (
     NEW_FILE,
     json_option,
     keep_source,
-    note_engine,
-    note_implementation,
 )
-from certrack.cli.outputs import search_output
 from certrack.cli.pictures import picture_options
-from certrack.cli.premises import note_contradictions, say_contradicted
+from certrack.cli.premises import say_contradicted
 from certrack.cli.starts import search_starts
+from certrack.cli.worst_cases import search_worst_case
 from certrack.core.errors import InputError
 from certrack.reports.premises import premise_lines
 
@@ -284,84 +282,4 @@ def falsify(
     if starts:
         search_starts(file, out, budget, seed, box, as_json=as_json)
         return
-    if of != "error":
-        search_output(file, of, out, budget, seed, as_json=as_json)
-        return
-    from certrack.cli import console
-    from certrack.core.rounding import printed_bound
-    from certrack.reports import falsification as falsified
-    from certrack.reports.worst_outputs import ORIGIN_WORDS
-    from certrack.studies.falsifier.falsify import falsify as search
-    from certrack.systems.reader import load
-    from certrack.systems.writer import save
-
-    system = load(file)
-    beside = None if out is None else out.with_name(f"{out.stem}-drive{out.suffix}")
-    keep_source(file, *filter(None, [out, beside]))
-    note_engine(compiled=False)
-    note_contradictions(system, file)
-    with console.phases() as bars:
-        result = search(
-            system,
-            budget=budget,
-            seed=seed,
-            progress=bars.phase("Searching, runs"),
-            certifying=bars.phase("Certifying what the search is held against, steps", "bound"),
-        )
-    drive = result.drive
-    if drive is None:
-        note_implementation(system)
-    cases = {} if out is None else {out: result.system}
-    if beside is not None and drive is not None:
-        cases[beside] = drive.system
-    for path, case in cases.items():
-        save(case, path)
-    values = falsified.falsification_summary(result) | {
-        "seed": seed,
-        "file": None if out is None else str(out),
-    }
-    if as_json:
-        click.echo(console.to_json(values))
-    else:
-        origin, loop = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
-        runs = f"{result.evaluations} runs{origin}"
-        click.echo(f"{loop}worst |e_1| found in {runs}: {result.worst_error:.6g}")
-        click.echo(f"stopped: {result.ended}")
-        click.echo(f"{loop}certified limsup |e_1|: {printed_bound(values['certified'])}")
-        ratio = values["ratio"]
-        click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
-        console.print_table(falsified.falsification_table(values["certificates"]))
-        if values["settling"]:
-            console.print_lines([STILL_SETTLING])
-        if values["certificates"].get("published", {}).get("exceeded"):
-            console.print_lines([PUBLISHED_EXCEEDED])
-        if values["drive"] is not None:
-            console.print_lines(falsified.drive_lines(values["drive"]))
-        if "drive" in result.left_out:
-            click.echo(
-                "certrack: note: nothing was tried of the loop as [implementation] runs it: "
-                f"{result.left_out['drive']}",
-                err=True,
-            )
-        for path in cases:
-            click.echo(f"{path} replays it: certrack simulate {path}")
-    if result.alarm is not None:
-        click.echo(
-            f"certrack: ALARM: a run is beyond the verified bound ({result.alarm}): "
-            f"{result.reason}",
-            err=True,
-        )
-        raise click.exceptions.Exit(1)
-
-
-#: What the user is told where the worst run has not reached its long run.
-STILL_SETTLING = (
-    "The worst run has not settled from its start: it is beyond the bound and within the tube, so "
-    "it says nothing against a bound in the long run."
-)
-
-#: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
-PUBLISHED_EXCEEDED = (
-    "The published bound (42) does not hold here: the last step of its proof takes V' < 0 for a "
-    "falling |e_1|. No alarm: only a verified bound would raise one."
-)
+    search_worst_case(file, of, out, budget, seed, as_json=as_json)

@@ -44,9 +44,11 @@ def in_this_process(
     """
     for begin, end in chunks:
         clock = time.perf_counter()
-        if total is not None:
+        arrays = None
+        if total is None:
+            arrays = engine.packed(begin, end, ran)
+        else:
             engine.compute(begin, end, total, ran)
-        arrays = engine.packed(begin, end, ran) if total is None else None
         yield (begin, end), arrays, time.perf_counter() - clock
 
 

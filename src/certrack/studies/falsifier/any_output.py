@@ -14,13 +14,12 @@ from certrack.core.progress import Progress
 from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
 from certrack.studies.falsifier.adversary import reference_bounds
-from certrack.studies.falsifier.alarm import DEFECT, Alarm
 from certrack.studies.falsifier.claims import OutputClaim, output_alarm, output_claim
 from certrack.studies.falsifier.drive import (
-    BEYOND_IMPLEMENTED,
     DriveFalsification,
     attacked_by_kernels,
     ending_of,
+    first_alarm,
 )
 from certrack.studies.falsifier.hunt import Hunted, hunt
 from certrack.studies.falsifier.linear.search import NothingTried
@@ -135,9 +134,7 @@ def falsify_output(
         output_alarm(continuous, output, claim, hunted.cases[origin], run)
         for origin, run in hunted.runs.items()
     )
-    raised = next(filter(None, alarms), None)
-    if raised is None and drive is not None and drive.exceeds:
-        raised = Alarm(DEFECT, BEYOND_IMPLEMENTED)
+    raised = first_alarm(alarms, drive)
     return OutputFalsification(
         output,
         sizes[worst],

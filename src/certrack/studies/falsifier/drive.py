@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from certrack.certificates import Certificate
@@ -14,6 +14,7 @@ from certrack.certificates.premises_of_truth import premises
 from certrack.core.progress import Progress
 from certrack.integrators.base import Outcome
 from certrack.simulation.run import Run
+from certrack.studies.falsifier.alarm import DEFECT, Alarm
 from certrack.studies.falsifier.escape import Escape, first_escape
 from certrack.studies.falsifier.linear.search import sampled_case
 from certrack.studies.falsifier.outputs import ERROR, INPUT_NAME, SoughtOutput
@@ -71,6 +72,14 @@ BEYOND_IMPLEMENTED = (
     "the worst case of the loop as implemented is beyond its certificate: certrack itself is "
     "wrong; please report this file"
 )
+
+
+def first_alarm(alarms: Iterable[Alarm | None], drive: DriveFalsification | None) -> Alarm | None:
+    """The first alarm of the continuous runs; else that of the loop as implemented, or None."""
+    raised = next(filter(None, alarms), None)
+    if raised is None and drive is not None and drive.exceeds:
+        return Alarm(DEFECT, BEYOND_IMPLEMENTED)
+    return raised
 
 
 def attacked_by_kernels(

@@ -27,13 +27,13 @@ from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
 from certrack.studies.falsifier.adversary import reference_bounds
-from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
+from certrack.studies.falsifier.alarm import alarm
 from certrack.studies.falsifier.any_output import OutputFalsification, falsify_output
 from certrack.studies.falsifier.drive import (
-    BEYOND_IMPLEMENTED,
     DriveFalsification,
     attacked_by_kernels,
     ending_of,
+    first_alarm,
 )
 from certrack.studies.falsifier.hunt import OWN, hunt
 from certrack.studies.falsifier.linear.search import (
@@ -233,14 +233,12 @@ def falsify(
     errors = {origin: tail_error(run) for origin, run in runs.items()}
     worst = max(errors, key=lambda origin: errors[origin])
     against, stages = methods.best, methods.stages
-    raised = None
-    if against is not None:
-        alarms = (
-            alarm(system, cases[origin], run, against, stages) for origin, run in runs.items()
-        )
-        raised = next(filter(None, alarms), None)
-    if raised is None and drive is not None and drive.exceeds:
-        raised = Alarm(DEFECT, BEYOND_IMPLEMENTED)
+    alarms = (
+        alarm(system, cases[origin], run, against, stages)
+        for origin, run in runs.items()
+        if against is not None
+    )
+    raised = first_alarm(alarms, drive)
     return Falsification(
         errors[worst],
         cases[worst],
