@@ -98,6 +98,26 @@ def test_the_cascade_is_estimated_with_its_centred_stage_warm_and_cold():
         assert sum(warm.shares.values()) == pytest.approx(warm.bound)
 
 
+def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(monkeypatch):
+    solved = []
+    real = SemidefiniteProgram.point
+    monkeypatch.setattr(
+        SemidefiniteProgram, "point", lambda self, a: solved.append(a) or real(self, a)
+    )
+    system = certrack.load("example1")
+    warm = certrack.estimate(system)
+    for factor in (1.005, 1.01, 1.015, 1.02):
+        law = replace(system.law, c=tuple(factor * v for v in system.law.c))
+        moved = system.replace(law=law)
+        solved.clear()
+        warm = certrack.estimate(moved, warm=warm)
+        assert len(solved) <= 14
+        cold = certrack.estimate(moved)
+        assert warm.bounds == pytest.approx(cold.bounds, rel=2e-6)
+        assert warm.cascade.shift == pytest.approx(cold.cascade.shift, rel=0.02)
+        assert warm.cascade.problems[0].adaptation.shift == warm.cascade.shift
+
+
 def test_a_warm_certificate_is_as_good_and_as_proven():
     system = certrack.load("dual-motor-lean")
     warm = certrack.certify(system, "fast", warm=certrack.estimate(system))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import certrack
 from certrack.certificates import strength
 from certrack.certificates.arithmetic import decimal, rational
 from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.centred import CentredProblems
 from certrack.certificates.exact import BACK_OFF, failed_condition, from_text, prove
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.methods import certify_semidefinite
@@ -24,11 +26,14 @@ from certrack.certificates.search.decay_rate import best_by_slope
 from certrack.certificates.search.descent import quasi_newton
 from certrack.certificates.search.riccati import riccati_optimum
 from certrack.certificates.search.riccati_equation import RiccatiEquation
+from certrack.certificates.search.shift import best_shifts
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.core import once as once_module
 from certrack.core.blas import one_blas_thread
 from certrack.core.once import once
 from certrack.studies.margins import margins
+
+STARTER = Path(__file__).parent / "data" / "starter.toml"
 
 
 def random_system(seed):
@@ -146,6 +151,26 @@ def test_alpha_by_its_slope_is_that_of_the_grid(monkeypatch):
             assert fast.bound <= slow.bound * (1 + 1e-8)
             assert len(solved) <= 12
             assert best_by_slope(program, 1.1 * fast.alpha).bound <= slow.bound * (1 + 1e-8)
+
+
+def test_no_centre_is_searched_that_would_creep_towards_none(monkeypatch):
+    """Of this plant any centre is worse than none, the less the smaller it is."""
+    system = certrack.load(STARTER)
+    problem = error_problem(system, rational)
+    reached = best_proof(problem, problem.n - 1).proof
+    centred = CentredProblems.of(system, problem, reached).in_floats()
+    alpha, bound = (float(from_text(text)) for text in (reached.alpha, reached.bound))
+    solved = []
+    real = SemidefiniteProgram.point
+    monkeypatch.setattr(
+        SemidefiniteProgram, "point", lambda self, a: solved.append(a) or real(self, a)
+    )
+    assert best_shifts(centred, alpha, problem.n - 1, bound) == []
+    assert len(solved) == 6
+    crept = best_shifts(centred, alpha, problem.n - 1)
+    assert len(solved) <= 40 and abs(crept[0][0]) < 1e-6
+    least = SemidefiniteProgram(centred.at(crept[0][0]), problem.n - 1).solve(crept[0][1]).bound
+    assert bound * (1 - 1e-6) < least
 
 
 def test_the_cascade_of_example_1_takes_few_programs(monkeypatch):

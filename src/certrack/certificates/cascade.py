@@ -72,7 +72,8 @@ def _centred_stage(system: System, exact: ErrorProblem, reached: Proof) -> Proof
         centred = CentredProblems.of(system, exact, reached)
     except NoCertificate:
         return None
-    for kappa, alpha in best_shifts(centred.in_floats(), float(from_text(reached.alpha)), target):
+    rate, bound = (float(from_text(text)) for text in (reached.alpha, reached.bound))
+    for kappa, alpha in best_shifts(centred.in_floats(), rate, target, bound):
         text = f"{kappa:.{SHIFT_DIGITS}g}"
         proof = best_proof(centred.at(from_text(text)), target, near=alpha).proof
         if proof is not None and from_text(proof.bound) < from_text(reached.bound):

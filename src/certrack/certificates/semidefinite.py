@@ -37,9 +37,6 @@ ALPHA_GRID = np.append(np.geomspace(1e-3, 0.9, 14), 0.98)
 #: log alpha is refined to this width: the bound is flat there, to about its square.
 ALPHA_ACCURACY = 2e-3
 
-#: A warm search looks at this far in log alpha to either side, to this width.
-NEARBY, NEARBY_ACCURACY = 0.7, 2e-2
-
 #: Half the relative step of alpha in the derivative of what the leakage costs.
 ALPHA_STEP = 1e-5
 
@@ -349,14 +346,12 @@ class Program(Protocol[_Out]):
         """The solution of least bound with this decay rate (1/s); None if there is none."""
 
 
-def best_solution(program: Program[_Found], near: float | None = None) -> _Found | None:
+def best_solution(program: Program[_Found]) -> _Found | None:
     """The solution of least bound over alpha, None if there is none: a grid, then a refinement.
 
     Parameters
     ----------
     program : Program
-    near : float, optional, 1/s
-        The best alpha of a program nearby: the refinement begins there, without the grid.
     """
     if not program.fastest > 0:
         return None
@@ -370,13 +365,6 @@ def best_solution(program: Program[_Found], near: float | None = None) -> _Found
         solutions[alpha] = solution
         return solution.bound
 
-    if near is not None:
-        middle = math.log(min(max(near, 1e-3 * program.fastest), 0.9 * program.fastest))
-        ends = (middle - NEARBY, min(middle + NEARBY, math.log(0.98 * program.fastest)))
-        if bound(middle) < NO_BOUND:
-            accuracy = {"xatol": NEARBY_ACCURACY}
-            minimize_scalar(bound, bounds=ends, method="bounded", options=accuracy)
-            return min(solutions.values(), key=lambda solution: solution.bound)
     grid = np.log(program.fastest * ALPHA_GRID)
     values = [bound(v) for v in grid]
     i = int(np.argmin(values))

@@ -21,16 +21,19 @@ from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
 from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
+from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.search.decay_rate import best_by_slope
-from certrack.certificates.search.shift import best_shifts
+from certrack.certificates.search.decay_rate import (
+    NEARBY_SLOPE_ACCURACY,
+    SLOPE_ACCURACY,
+    best_by_slope,
+)
+from certrack.certificates.search.riccati import RiccatiState
+from certrack.certificates.search.shift import best_shift_nearby, best_shifts
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, fastest_rate
 from certrack.systems.system import System
-
-#: A shift that is known from nearby is tried so much smaller and larger, too.
-SHIFT_RATIO = 1.06
 
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
@@ -55,6 +58,8 @@ class BestCascade:
         That of e_n which counts, and that of e_1.
     shift : float
         kappa of the centred stage; 0 without.
+    state : RiccatiState or None
+        What a warm start of the head needs.
     """
 
     last: Solution
@@ -62,6 +67,7 @@ class BestCascade:
     head: Solution
     problems: tuple[ErrorProblem, ErrorProblem]
     shift: float = 0.0
+    state: RiccatiState | None = None
 
     @property
     def of_last(self) -> Solution:
@@ -83,7 +89,7 @@ def best_cascade(
         Of a system nearby.
     """
     target = problem.n - 1
-    last = best_by_slope(
+    last = rate_nearby(
         SemidefiniteProgram(problem, target), None if near is None else near.last.alpha
     )
     if last is None:
@@ -94,10 +100,32 @@ def best_cascade(
         centred, shift, of_last = best_centred
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
-    head = best_by_slope(SemidefiniteProgram(inner), None if near is None else near.head.alpha)
+    head, state = _best_head(inner, near)
     if head is None:
         return None
-    return BestCascade(last, centred, head, (of_last, inner), shift)
+    return BestCascade(last, centred, head, (of_last, inner), shift, state)
+
+
+def rate_nearby(program: SemidefiniteProgram, near: float | None) -> Solution | None:
+    """The solution of least bound over alpha, from what is known of a program nearby, if anything.
+
+    Parameters
+    ----------
+    program : SemidefiniteProgram
+    near : float or None, 1/s
+    """
+    return best_by_slope(program, near, SLOPE_ACCURACY if near is None else NEARBY_SLOPE_ACCURACY)
+
+
+def _best_head(
+    problem: ErrorProblem, near: BestCascade | None
+) -> tuple[Solution | None, RiccatiState | None]:
+    """The solution for e_1: it has no estimates, so that its rate is that of a Riccati equation."""
+    program = SemidefiniteProgram(problem)
+    quick = riccati_estimate(problem, None if near is None else near.state)
+    if quick is not None:
+        return program.solve(quick.alpha), quick.state
+    return rate_nearby(program, None if near is None else near.head.alpha), None
 
 
 def _centred(
@@ -109,18 +137,17 @@ def _centred(
         problems = CentredProblems.of(system, exact, _as_proof(reached)).in_floats()
     except NoCertificate:
         return None
-    if near is None or near.centred is None:
-        pairs = best_shifts(problems, reached.alpha, target)[:1]
-    else:
-        pairs = [(near.shift * r, near.centred.alpha) for r in (1, SHIFT_RATIO, 1 / SHIFT_RATIO)]
-    entries = []
-    for kappa, alpha in pairs:
+    if near is not None and near.centred is not None:
+        nearby = best_shift_nearby(problems, near.shift, near.centred.alpha, target)
+        if nearby is not None:
+            kappa, solution = nearby
+            return solution, kappa, problems.at(kappa)
+    for kappa, alpha in best_shifts(problems, reached.alpha, target, reached.bound)[:1]:
         shift = float(f"{kappa:.{SHIFT_DIGITS}g}")
         centred = problems.at(shift)
-        solution = best_by_slope(SemidefiniteProgram(centred, target), alpha)
-        if solution is not None:
-            entries.append((solution, shift, centred))
-    return min(entries, key=lambda entry: entry[0].bound, default=None)
+        best = best_by_slope(SemidefiniteProgram(centred, target), alpha)
+        return None if best is None else (best, shift, centred)
+    return None
 
 
 def _as_proof(solution: Solution) -> Proof:

@@ -10,7 +10,7 @@ import numpy as np
 
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import NoCertificate, within_floats
-from certrack.certificates.estimates.cascade import BestCascade, best_cascade
+from certrack.certificates.estimates.cascade import BestCascade, best_cascade, rate_nearby
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
@@ -172,7 +172,7 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
     if state is not None and near is not None:
         solution = program.solve(near)
     else:
-        solution = best_solution(program, near)
+        solution = rate_nearby(program, near)
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)

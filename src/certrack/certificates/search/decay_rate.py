@@ -12,8 +12,9 @@ FIRST_SHARES = (0.35, 0.1, 0.03)
 #: Parts of the fastest rate between which alpha is searched, as of the grid.
 LEAST_SHARE, LARGEST_SHARE = 1e-3, 0.98
 
-#: What log bound^2 may be above the lowest.
-SLOPE_ACCURACY = 1e-8
+#: What log bound^2 may be above the lowest; where a search that every move of a gain repeats
+#: begins near its end, less will do.
+SLOPE_ACCURACY, NEARBY_SLOPE_ACCURACY = 1e-8, 1e-6
 
 #: The second derivative of log bound^2 by log alpha that a first step assumes; the longest step.
 FIRST_CURVATURE, LONGEST_MOVE = 1.0, 1.0
@@ -25,7 +26,9 @@ OFF_THE_ENDS = 0.05
 MAX_PROGRAMS = 16
 
 
-def best_by_slope(program: SemidefiniteProgram, near: float | None = None) -> Solution | None:
+def best_by_slope(
+    program: SemidefiniteProgram, near: float | None = None, accuracy: float = SLOPE_ACCURACY
+) -> Solution | None:
     """The solution of least bound over alpha; None if there is none.
 
     The slope of its logarithm is zero there, and found by secants; where no program of the first
@@ -36,6 +39,8 @@ def best_by_slope(program: SemidefiniteProgram, near: float | None = None) -> So
     program : SemidefiniteProgram
     near : float, optional, 1/s
         The best alpha of a program nearby.
+    accuracy : float
+        What log bound^2 may be above the lowest.
     """
     fastest = program.fastest
     if not fastest > 0:
@@ -68,12 +73,12 @@ def best_by_slope(program: SemidefiniteProgram, near: float | None = None) -> So
         above = (here, slope)
     curvature = FIRST_CURVATURE
     for _ in range(MAX_PROGRAMS):
-        if slope**2 < 2 * curvature * SLOPE_ACCURACY:
+        if slope**2 < 2 * curvature * accuracy:
             break
         step = -slope / curvature
         there = here + max(-LONGEST_MOVE, min(step, LONGEST_MOVE))
         there = _off_the_ends(there, below, above)
-        if abs(there - here) < SLOPE_ACCURACY:
+        if abs(there - here) < accuracy:
             break
         new = slope_at(there)
         if new < math.inf:

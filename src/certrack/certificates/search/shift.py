@@ -10,7 +10,7 @@ import numpy as np
 from certrack.certificates.centred import CentredProblems
 from certrack.certificates.scaling import Scaling
 from certrack.certificates.search.descent import quasi_newton
-from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram
+from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram, Solution
 
 #: Values of kappa that are tried, of either sign. They are close enough for the descent below to
 #: reach whatever lies between two of them; with (0.01, 0.1) Example 1 gets 0.0824, not 0.0786.
@@ -19,24 +19,30 @@ SHIFTS = (0.01, 0.03, 0.1)
 #: Half the relative step of kappa's difference; the problem's part in it is nearly linear.
 SHIFT_STEP = 1e-4
 
-#: By how much the descent may leave log bound^2 above the lowest.
-SHIFT_ACCURACY = 1e-7
+#: By how much the descent may leave log bound^2 above the lowest, from afar and from nearby.
+SHIFT_ACCURACY, NEARBY_SHIFT_ACCURACY = 1e-7, 1e-6
 
-#: About the second derivatives of log bound^2 by log alpha and by kappa over its first value.
+#: About the second derivatives of log bound^2 by log alpha and by log kappa.
 ASSUMED_CURVATURE = (1.0, 0.3)
 
 
 @dataclass(frozen=True)
 class _ShiftedPoint:
-    """The logarithm of bound^2 and its derivatives by log alpha and kappa over its first value."""
+    """The logarithm of bound^2 and its derivatives by log alpha and log kappa."""
 
+    solution: Solution
     value: float
     gradient: np.ndarray
     curvature: np.ndarray
 
 
-def best_shifts(centred: CentredProblems, alpha: float, target: int) -> list[tuple[float, float]]:
+def best_shifts(
+    centred: CentredProblems, alpha: float, target: int, bound: float = math.inf
+) -> list[tuple[float, float]]:
     """Pairs of kappa and alpha, the best first; empty where no kappa has a solution.
+
+    Empty also where a bound that falls with kappa to zero as a straight line does would end there
+    above the one that needs no centre: such a descent creeps towards zero.
 
     Parameters
     ----------
@@ -46,23 +52,57 @@ def best_shifts(centred: CentredProblems, alpha: float, target: int) -> list[tup
         Where the search begins, for every kappa.
     target : int
         Which e_i is bounded (from 0).
+    bound : float
+        Of e_i without a centre.
     """
     starts = []
     for kappa in (sign * shift for shift in SHIFTS for sign in (1, -1)):
         program, point = _solved(centred, kappa, alpha, target)
         if point is not None:
-            starts.append((program.solution(point, alpha).bound, kappa, program.scaling))
+            starts.append((program.solution(point, alpha).bound, kappa, program, point))
     if not starts:
         return []
-    _, first, scaling = min(starts, key=lambda start: start[:2])
+    _, first, program, point = min(starts, key=lambda start: start[:2])
+    here = _derivatives(centred, first, alpha, program, point)
+    if here is not None and here.value - here.gradient[1] > 2 * math.log(bound):
+        return []
 
     def at(x: np.ndarray) -> _ShiftedPoint | None:
-        return _point(centred, first, x, target, scaling)
+        return _point(centred, first, x, target, program.scaling)
 
-    lowest = quasi_newton(at, np.array([math.log(alpha), 1.0]), SHIFT_ACCURACY)
+    lowest = quasi_newton(at, np.array([math.log(alpha), 0.0]), SHIFT_ACCURACY)
     if lowest is None:
         return [(first, alpha)]
-    return [(first * float(lowest.x[1]), math.exp(lowest.x[0])), (first, alpha)]
+    return [(first * math.exp(lowest.x[1]), math.exp(lowest.x[0])), (first, alpha)]
+
+
+def best_shift_nearby(
+    centred: CentredProblems, kappa: float, alpha: float, target: int
+) -> tuple[float, Solution] | None:
+    """The best kappa and its solution, by a descent from those of a design nearby.
+
+    None where these have no solution here.
+
+    Parameters
+    ----------
+    centred : CentredProblems
+        In floats.
+    kappa : float
+        Not 0.
+    alpha : float, 1/s
+    target : int
+        Which e_i is bounded (from 0).
+    """
+    scaling = Scaling.of(centred.at(kappa))
+
+    def at(x: np.ndarray) -> _ShiftedPoint | None:
+        return _point(centred, kappa, x, target, scaling)
+
+    lowest = quasi_newton(at, np.array([math.log(alpha), 0.0]), NEARBY_SHIFT_ACCURACY)
+    if lowest is None:
+        return None
+    assert isinstance(lowest.point, _ShiftedPoint)
+    return kappa * math.exp(lowest.x[1]), lowest.point.solution
 
 
 def _solved(
@@ -79,20 +119,27 @@ def _solved(
 def _point(
     centred: CentredProblems, first: float, x: np.ndarray, target: int, scaling: Scaling
 ) -> _ShiftedPoint | None:
-    alpha, kappa = math.exp(x[0]), first * float(x[1])
-    if not x[1] > 0:
-        return None
+    alpha, kappa = math.exp(x[0]), first * math.exp(x[1])
     program, point = _solved(centred, kappa, alpha, target, scaling)
-    if point is None:
-        return None
+    return None if point is None else _derivatives(centred, kappa, alpha, program, point)
+
+
+def _derivatives(
+    centred: CentredProblems,
+    kappa: float,
+    alpha: float,
+    program: SemidefiniteProgram,
+    point: ProgramPoint,
+) -> _ShiftedPoint | None:
     solution = program.solution(point, alpha)
     value = float(point.cost @ point.x)
     lagrangian = program.lagrangian(point, alpha)
     above, below = (lagrangian(centred.at(kappa * (1 + h))) for h in (SHIFT_STEP, -SHIFT_STEP))
-    by_shift = (above - below) / (2 * SHIFT_STEP) / (value * float(x[1]))
+    by_shift = (above - below) / (2 * SHIFT_STEP) / value
     if not (solution.bound > 0 and math.isfinite(by_shift)):
         return None
     gradient = np.array([program.by_log_alpha(point, alpha), by_shift])
     if not np.isfinite(gradient).all():
         return None
-    return _ShiftedPoint(2 * math.log(solution.bound), gradient, np.array(ASSUMED_CURVATURE))
+    value = 2 * math.log(solution.bound)
+    return _ShiftedPoint(solution, value, gradient, np.array(ASSUMED_CURVATURE))
