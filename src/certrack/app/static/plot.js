@@ -56,6 +56,7 @@ export class Plot {
 
   build() {
     this.plot?.destroy();
+    this.drawn = null;
     const { spec } = this;
     this.colors = { muted: token("--muted"), line: token("--line"), grid: token("--grid"), panel: token("--panel"), tube: token("--tube") };
     this.legend.textContent = "";

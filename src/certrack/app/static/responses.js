@@ -44,8 +44,8 @@ export class Responses {
     const unit = system.units[0], { rows } = this;
     const end = () => (state.run && state.run.header.outcome !== "finished" ? state.run.header.end : null);
     this.add({ id: "output", title: "Output and reference", unit, clock: true, end, series: [{ label: system.states[0], name: true, color: "--output", width: 2 }, { label: "reference", color: "--reference", dash: [5, 4] }] }, (t) => [t, rows.x(0), rows.y()]);
-    this.error = this.add(this.errorSpec(unit, mode, end), (t, plot) => this.errorData(t, plot));
-    this.add({ id: "input", title: "Input u", unit: system.units[n], end, series: [{ label: "u", color: "--input" }], ghosts: () => [...this.before("u"), ...this.optimum("u")], limits: () => this.inputLimits(), handles: () => this.inputHandles() }, (t) => [t, rows.u()]);
+    this.error = this.add(this.errorSpec(unit, mode, end), (t, plot) => this.errorData(t, plot), () => [this.state.bound, ...this.over()]);
+    this.add({ id: "input", title: "Input u", unit: system.units[n], end, series: [{ label: "u", color: "--input" }], ghosts: () => [...this.before("u"), ...this.optimum("u")], limits: () => this.inputLimits(), handles: () => this.inputHandles() }, (t) => [t, rows.u()], () => [this.dragged, ...this.over()]);
     for (const [group, indices] of this.groups(system)) {
       this.add({ id: `states-${indices[0]}`, title: "States", unit: group, end, series: indices.map((k, j) => ({ label: system.states[k], name: true, color: LINES[j], dash: DASHES[j] })) }, (t) => [t, ...indices.map((k) => rows.x(k))]);
     }
@@ -69,14 +69,21 @@ export class Responses {
     });
   }
 
-  add(spec, data) {
+  /** What else lies over error and input: of this design, or pinned. */
+  over() {
+    const { before, worst, optima, design, tuneLimits } = this.state, current = (one) => (one?.design === design ? one : null);
+    return [before, current(worst), current(optima), tuneLimits];
+  }
+
+  /** `data(t, plot)`: times and rows; `others()`: what it shows besides the run. */
+  add(spec, data, others = () => []) {
     const plot = new Plot(this.parent, spec, {
       window: () => this.window,
       zoom: (low, high) => this.on.zoom(low, high),
       redraw: () => this.draw(),
       time: (t) => this.plots[0]?.clock && write(this.plots[0].clock, t === null || t === undefined ? "" : `t = ${format(t)} s`),
     });
-    plot.curves = data;
+    Object.assign(plot, { curves: data, others });
     this.plots.push(plot);
     return plot;
   }
@@ -217,7 +224,12 @@ export class Responses {
     this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
     this.error.settled = run.header.metrics.tail_error;
     if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
-    for (const plot of this.plots) plot.set(plot.curves(run.times, plot));
+    for (const plot of this.plots) {
+      const sources = [run, system, ...this.window, ...plot.others()];
+      if (sources.every((source, k) => source === plot.drawn?.[k])) continue; // a bound alone changes one plot of them
+      plot.set(plot.curves(run.times, plot));
+      plot.drawn = sources;
+    }
   }
 
   /** Whose tube it is: where the bound is another proof's, the tube may end elsewhere. */
