@@ -91,6 +91,28 @@ def test_every_slider_moves_by_keys_typing_and_mouse_and_is_undone(shown):
     assert page.evaluate("lab.state.run.design === lab.state.design")
 
 
+def test_a_bound_draws_the_error_again_and_no_other_plot(shown):
+    page = shown()
+    wait(page, "lab.state.bound.effort === 'default'")
+    page.evaluate(
+        "lab.responses.plots.forEach((plot) => {"
+        "  const real = plot.set.bind(plot); plot.count = 0;"
+        "  plot.set = (data) => { plot.count += 1; real(data); }; })"
+    )
+    counts = "Object.fromEntries(lab.responses.plots.map((p) => [p.spec.id, p.count]))"
+    page.locator('[data-path="law.c[0]"]').focus()
+    page.keyboard.press("ArrowRight")
+    at_rest(page)
+    wait(page, "lab.state.bound.effort === 'default'")
+    counted = page.evaluate(counts)
+    assert counted["error"] > counted["output"] == counted["estimates"] >= 1, counted
+    current = "lab.responses.plots.every((p) => p.plot.data[0] === lab.state.run.times)"
+    wait(page, current)
+    page.keyboard.press("Escape")
+    page.click("#theme")
+    wait(page, f"{current} && {counts}.output > {counted['output']}")
+
+
 def test_a_second_drag_moves_as_the_first_did(shown):
     """Presses must not select texts of the page, which the browser would then drag away."""
     page = shown()
