@@ -342,6 +342,14 @@ def test_a_design_is_tuned_and_a_point_of_its_front_taken(shown):
     page.click("text=Use these gains")
     at_rest(page)
     assert page.evaluate("lab.state.bound.bound") != before
+    assert page.inner_text("#drawer .made").startswith("its gains are in use")
+    page.locator('[data-path="bandwidth"]').focus()
+    page.keyboard.press("ArrowRight")
+    at_rest(page)
+    assert "it has changed since" in page.inner_text("#drawer .made")
+    page.keyboard.press("Control+z")
+    at_rest(page)
+    assert "its gains are in use" in page.inner_text("#drawer .made")
     page.keyboard.press("c")
     assert page.locator(".result.pins thead th").all_inner_texts() == ["pin 1", "now"]
     page.click("text=go back")

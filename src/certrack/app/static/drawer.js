@@ -39,14 +39,15 @@ export class Drawer {
     this.stale = null;
   }
 
-  /** Whether the design on the page is another one by now. */
-  outdated(stale) {
-    if (stale === this.stale) return;
-    this.stale = stale;
+  /** What became of the design: it is "present", has the gains of this result ("applied"), or has "changed". */
+  outdated(state) {
+    if (state === this.stale) return;
+    this.stale = state;
     this.origin.textContent = "";
-    this.origin.className = stale ? "made old" : "made";
-    if (stale) this.origin.append(`of the design as it was at ${this.made.at}: it has changed since `, this.back);
-    else this.origin.append("of the present design");
+    this.origin.className = state === "changed" ? "made old" : "made";
+    if (state === "present") this.origin.append("of the present design");
+    else if (state === "applied") this.origin.append("its gains are in use ", this.back);
+    else this.origin.append(`of the design as it was at ${this.made.at}: it has changed since `, this.back);
   }
 
   /** Something that is to be known beside the result. */

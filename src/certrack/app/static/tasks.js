@@ -20,7 +20,7 @@ export class Tasks {
     this.made = null;
     this.drawer = new Drawer(byId("drawer"));
     this.fan = new Fan(state, this.drawer);
-    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note, units: () => state.system.units, limits: (limits) => this.limits(limits) });
+    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: (gains) => this.apply(gains), note: on.note, units: () => state.system.units, limits: (limits) => this.limits(limits) });
     byId("tasks").addEventListener("click", (event) => {
       const task = event.target.dataset?.task;
       if (task) this.press(task);
@@ -98,8 +98,17 @@ export class Tasks {
     const { made } = this.drawer;
     if (this.drawer.title === PINNED) this.compareAgain();
     if (!made) return;
-    const { base, values } = this.on.snapshot();
-    this.drawer.outdated(base !== made.base || JSON.stringify(values) !== JSON.stringify(made.values));
+    const { base, values } = this.on.snapshot(), now = JSON.stringify(values);
+    if (base !== made.base) this.drawer.outdated("changed");
+    else if (now === JSON.stringify(made.values)) this.drawer.outdated("present");
+    else this.drawer.outdated(now === made.tuned ? "applied" : "changed");
+  }
+
+  /** The gains that the tuner ended at become those of the page. */
+  apply(gains) {
+    this.on.apply(gains);
+    if (this.drawer.made) this.drawer.made.tuned = JSON.stringify(this.on.snapshot().values);
+    this.freshen();
   }
 
   progress({ task, done, total, best }) {
