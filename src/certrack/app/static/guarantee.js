@@ -204,6 +204,8 @@ export class Guarantee {
   }
 }
 
+const SIGNS = { gamma: "γ", beta: "β" };
+
 /** Remedies that one press carries out: "widen gamma[0] to 0.5" as an edit of the file. */
 function widenings(remedy, form) {
   const fields = form.flatMap((section) => section.fields);
@@ -212,7 +214,7 @@ function widenings(remedy, form) {
     try {
       const numbers = JSON.parse(written);
       numbers[Number(index)] = Number(value);
-      return [{ path, value: `[${numbers.map((number) => JSON.stringify(number)).join(", ")}]`, text: `Widen ${name}[${index}] to ${value}` }];
+      return [{ path, value: `[${numbers.map((number) => JSON.stringify(number)).join(", ")}]`, text: `Widen ${SIGNS[name]} of w${lowered(String(Number(index) + 1))} to ${value}` }];
     } catch {
       return []; // not a list of numbers: the text says what to do
     }
