@@ -189,7 +189,7 @@ def test_a_contradicted_premise_strikes_the_number(shown):
     assert "not certified" in page.inner_text("#ladder")
     assert page.locator("#measures tbody td:nth-child(3)").first.inner_text() == "none"
     assert "no certified bound" in page.locator("#announce").text_content()
-    page.click("#remedy >> text=Widen γ of w₁ to 0.5")
+    page.click("#remedy >> text=Widen \N{GREEK SMALL LETTER GAMMA} of w\N{SUBSCRIPT ONE} to 0.5")
     wait(page, "lab.state.text.includes('gamma = [0.5, 0.2]')")
     at_rest(page)
     assert page.inner_text("#badge").startswith("exact")

@@ -1,6 +1,9 @@
 """What the designer's workers do: gains, forms, references, runs, bounds, early results."""
 
 import dataclasses
+import json
+import math
+import tomllib
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from certrack.app.gains import movable_gains, with_gains
 from certrack.app.jobs import JOBS, JobContext
 from certrack.app.long_tasks import FIRST_MEMBERS, MORE_MEMBERS, run_task
 from certrack.app.open_design import Designs, continuous_law
+from certrack.app.order import names_typed, with_states
 from certrack.app.profiles import DRAWN_ORDER, reference_record
 from certrack.app.responses import metric_texts
 from certrack.core.errors import InputError
@@ -260,6 +264,96 @@ def test_points_of_a_reference_are_where_the_curve_passes_them():
     assert (
         reference_record(certrack.load("example1"), certrack.starter("example1"))["points"] is None
     )
+
+
+def with_named(name, states):
+    """A shipped text after other states were typed into its form, and what the page is told."""
+    entries = {"plant.states": json.dumps(states)}
+    work = job("describe", text=certrack.starter(name), entries=entries)
+    header = frame_header(carried_out(JobContext(), work))
+    return tomllib.loads(header["text"]), header
+
+
+@pytest.mark.parametrize("name", ["example1", "flexible-joint", "motor-shaft-load", "stiction"])
+@pytest.mark.parametrize("first", [True, False])
+def test_every_list_follows_a_state_that_is_added(name, first):
+    before = tomllib.loads(certrack.starter(name))
+    states = before["plant"]["states"]
+    names = ["extra", *states] if first else [*states, "extra"]
+    after, header = with_named(name, names)
+    assert "message" not in header
+    assert header["states"] == names
+    place = 0 if first else len(states)
+    last = before["law"]["c"][-1]
+    for owner, key, new in [("plant", "chain", 1), ("law", "c", last), ("simulation", "x0", 0)]:
+        wanted = list(before[owner][key])
+        wanted.insert(min(place, len(wanted)), new)
+        assert after[owner][key] == wanted, (owner, key)
+    for key, values in before["plant"]["uncertainty"].items():
+        if len(values) == len(states) and not isinstance(values[0], list):
+            assert after["plant"]["uncertainty"][key] == [*values[:place], 0, *values[place:]]
+    assert after["truth"]["omega"][place] == 0
+    if "units" in before["plant"]:
+        assert after["plant"]["units"][-1] == before["plant"]["units"][-1]
+        assert len(after["plant"]["units"]) == len(names) + 1
+
+
+def test_a_state_that_goes_takes_its_entries_along():
+    after, header = with_named("theorem1-counterexample", ["x1"])
+    assert "message" not in header and header["states"] == ["x1"]
+    assert after["plant"]["chain"] == [] and len(after["simulation"]["x0"]) == 1
+    after, header = with_named("stiction", ["v"])
+    assert after["law"]["feedforward"] == 0 and header["states"] == ["v"]
+
+
+def test_states_of_the_truth_s_own_stay():
+    before = tomllib.loads(certrack.starter("dual-motor-physical"))
+    names = [*before["plant"]["states"], "extra"]
+    after = tomllib.loads(with_states(certrack.starter("dual-motor-physical"), names))
+    assert after["truth"]["rates"] == before["truth"]["rates"]
+    assert after["simulation"]["x0"] == before["simulation"]["x0"]
+    assert after["truth"]["outputs"] == [*before["truth"]["outputs"], "0"]
+
+
+def test_other_names_of_as_many_states_change_nothing_else():
+    text = certrack.starter("example1")
+    assert with_states(text, ["a", "b"]) == text
+    assert with_states(text, []) == text
+    for typed in ('["a", 1]', '["a", "a"]', "a, b", "["):
+        assert names_typed(typed) == []
+    assert names_typed(' ["a", "b"] ') == ["a", "b"]
+    three = tomllib.loads(with_states(text, ["a", "b", "d"]))
+    assert three["simulation"]["x0"] == [*tomllib.loads(text)["simulation"]["x0"], 0]
+
+
+def test_rows_of_states_follow():
+    text = """
+[plant]
+states = ["a", "b", "d"]
+linear = [[1], [2, 3]]
+[plant.uncertainty]
+Delta = [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+S = [1, 2, 3]
+[law]
+kind = "adaptive"
+k = [[1, 2], [3, 4, 5, 6], [7, 8, 9, 10, 11, 12]]
+p = [4, 5]
+"""
+    more = tomllib.loads(with_states(text, ["a", "new", "b", "d"]))
+    assert more["plant"]["linear"] == [[1], [0, 0], [2, 0, 3]]
+    assert more["plant"]["uncertainty"]["Delta"] == [
+        [1, 0, 2, 3],
+        [0, 0, 0, 0],
+        [4, 0, 5, 6],
+        [7, 0, 8, 9],
+    ]
+    assert more["plant"]["uncertainty"]["S"] == [1, 1, 2, 3]
+    assert more["law"]["k"] == [[1, 2], [math.inf] * 4, [math.inf] * 6, [math.inf] * 8]
+    assert more["law"]["p"] == [4, math.inf, 5]
+    fewer = tomllib.loads(with_states(text, ["a", "b"]))
+    assert fewer["plant"]["linear"] == [[1]]
+    assert fewer["plant"]["uncertainty"]["Delta"] == [[1, 2], [4, 5]]
+    assert fewer["law"]["k"] == [[1, 2], [3, 4, 5, 6]] and fewer["law"]["p"] == [4]
 
 
 def test_an_edited_reference_keeps_the_comments_around_it():

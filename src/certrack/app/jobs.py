@@ -13,6 +13,7 @@ from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.guarantee import certificates_frame, estimate_frame
 from certrack.app.messages import require_text_size
 from certrack.app.open_design import Designs, OpenDesign, continuous_law, nominal_law
+from certrack.app.order import names_typed, with_states
 from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
 from certrack.app.written_law import law_frame
@@ -116,6 +117,8 @@ def _edited(context: JobContext, job: Job) -> str:
     if kind is not None:
         kind = checks.choice("reference.kind", kind, REFERENCE_TEMPLATES)
         text = with_reference_table(text, reference_of_kind(kind, context.open(job).system))
+    if "plant.states" in entries:
+        text = with_states(text, names_typed(entries["plant.states"]))
     return with_entries(text, entries)
 
 
