@@ -12,7 +12,7 @@ from typing import Any
 from certrack.systems.keys import TABLES
 
 #: Which states the entries of a list belong to, by what its key says of its shape.
-PER_STATE = (
+ENTRY_PER_STATE = (
     "one number per state",
     "one per state",
     "w_1 ... w_n, one per state",
@@ -23,7 +23,7 @@ PER_STATE = (
 )
 BUT_THE_LAST = ("g_1 ... g_{n-1}", "p_1 ... p_{n-1}")
 STATES_AND_INPUT = "states, then input"
-SQUARE = ("n rows of n numbers", "n numbers, or n rows of n numbers")
+SQUARE_SHAPES = ("n rows of n numbers", "n numbers, or n rows of n numbers")
 TRIANGLE = "rows b_i1 ... b_ii, i = 1 ... n-1"
 DAMPING = "row m holds k_m1 ... k_m,2m, m = 1 ... n"
 
@@ -67,9 +67,9 @@ def with_states(text: str, names: Sequence[str]) -> str:
     if not before or not names or len(names) == len(before):
         return text
     sources = _sources(before, names)
-    own = "states" in document.get("truth", {})
+    by_truth = "states" in document.get("truth", {})
     for owner, name, shape in _lists(document):
-        if own and name in OF_THE_TRUTH:
+        if by_truth and name in OF_THE_TRUTH:
             continue
         change = _change_of(shape, name, sources, len(before))
         if change is not None and isinstance(owner[name], list):
@@ -127,12 +127,12 @@ def _change_of(
         none = [[float("inf")] * (2 * m + 2) for m in range(len(sources))]
         return [values[m] if k == m else none[m] for m, k in enumerate(sources)]
 
-    if shape in PER_STATE:
+    if shape in ENTRY_PER_STATE:
         return lambda values: entries(values, sources)
     if shape in BUT_THE_LAST:
         return lambda values: entries(values, sources[:-1])
     if shape == STATES_AND_INPUT:
         return lambda values: [*entries(values[:count], sources), *values[count:]]
-    if shape in SQUARE:
+    if shape in SQUARE_SHAPES:
         return lambda values: rows(values) if isinstance(values[0], list) else weights(values)
     return {TRIANGLE: triangle, DAMPING: damping}.get(shape)

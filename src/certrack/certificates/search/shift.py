@@ -63,7 +63,7 @@ def best_shifts(
     if not starts:
         return []
     _, first, program, point = min(starts, key=lambda start: start[:2])
-    here = _derivatives(centred, first, alpha, program, point)
+    here = _point_with_slopes(centred, first, alpha, program, point)
     if here is not None and here.value - here.gradient[1] > 2 * math.log(bound):
         return []
 
@@ -121,10 +121,10 @@ def _point(
 ) -> _ShiftedPoint | None:
     alpha, kappa = math.exp(x[0]), first * math.exp(x[1])
     program, point = _solved(centred, kappa, alpha, target, scaling)
-    return None if point is None else _derivatives(centred, kappa, alpha, program, point)
+    return None if point is None else _point_with_slopes(centred, kappa, alpha, program, point)
 
 
-def _derivatives(
+def _point_with_slopes(
     centred: CentredProblems,
     kappa: float,
     alpha: float,
