@@ -326,6 +326,24 @@ def test_other_names_of_as_many_states_change_nothing_else():
     assert three["simulation"]["x0"] == [*tomllib.loads(text)["simulation"]["x0"], 0]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[plant",
+        "plant = 3",
+        "[plant]\nstates = 3",
+        '[plant]\nstates = ["a", 2]',
+        '[plant]\nstates = ["a", "b"]\nlinear = [3]\n[plant.uncertainty]\nDelta = []\nS = []',
+        '[plant]\nstates = ["a", "b"]\n[law]\nkind = "robust"\nk = [1]\nc = []\nfeedforward = "q"',
+        'law = 3\ntruth = 4\n[plant]\nstates = ["a", "b"]',
+    ],
+)
+def test_a_broken_text_stays_for_loading_to_tell(text):
+    for names in (["a", "b", "c"], ["b"]):
+        changed = with_states(text, names)
+        assert changed == text or tomllib.loads(changed)["plant"]["states"] == ["a", "b"]
+
+
 def test_rows_of_states_follow():
     text = """
 [plant]

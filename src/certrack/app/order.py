@@ -7,6 +7,7 @@ nothing, or those of the last one where there is no such entry; formulas are lef
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from certrack.systems.keys import TABLES
@@ -51,7 +52,8 @@ def names_typed(typed: str) -> list[str]:
 def with_states(text: str, names: Sequence[str]) -> str:
     """The text with the lists that have an entry for each state, for these states.
 
-    Nothing changes where there are as many as before: then they have other names only.
+    Nothing changes where there are as many as before: then they have other names only; nor in a
+    text that is no TOML or a list that has not an entry per state now, which loading will tell.
 
     Parameters
     ----------
@@ -61,20 +63,25 @@ def with_states(text: str, names: Sequence[str]) -> str:
         Of the states, in their order.
     """
     import tomlkit
+    from tomlkit.exceptions import TOMLKitError
 
-    document = tomlkit.parse(text)
-    before = list(document.get("plant", {}).get("states", ()))
+    try:
+        document = tomlkit.parse(text)
+        before = names_typed(document["plant"]["states"].as_string())  # type: ignore[index, union-attr]
+    except (TOMLKitError, ValueError, TypeError, AttributeError):
+        return text
     if not before or not names or len(names) == len(before):
         return text
     sources = _sources(before, names)
-    by_truth = "states" in document.get("truth", {})
+    by_truth = "states" in (_table_at(document, "truth") or ())
     for owner, name, shape in _lists(document):
         if by_truth and name in OF_THE_TRUTH:
             continue
         change = _change_of(shape, name, sources, len(before))
         if change is not None and isinstance(owner[name], list):
-            owner[name] = change(owner[name].unwrap())
-    law = document.get("law", {})
+            with suppress(IndexError, TypeError):
+                owner[name] = change(owner[name].unwrap())
+    law = _table_at(document, "law") or {}
     if isinstance(law.get("feedforward"), int) and law["feedforward"] >= len(names):
         law["feedforward"] = len(names) - 1
     return tomlkit.dumps(document)
@@ -91,14 +98,20 @@ def _lists(document: Any) -> Iterator[tuple[Any, str, str]]:
     """Every list of the file with its table and its shape."""
     for table, keys in TABLES.items():
         path, _, kind = table.rstrip("]").partition("[")
-        owner: Any = document
-        for part in filter(None, path.split(".")):
-            owner = owner.get(part) if isinstance(owner, Mapping) else None
+        owner = _table_at(document, path)
         if owner is None or (kind and owner.get("kind") != kind):
             continue
         for name, key in keys.items():
             if name in owner and key.shape:
                 yield owner, name, key.shape
+
+
+def _table_at(document: Any, path: str) -> Any:
+    """A table of the file; None if there is none."""
+    owner = document
+    for part in filter(None, path.split(".")):
+        owner = owner.get(part) if isinstance(owner, Mapping) else None
+    return owner if isinstance(owner, Mapping) else None
 
 
 def _change_of(
