@@ -16,10 +16,9 @@ from scipy.stats import linregress
 
 import certrack
 from certrack.studies.ensembles.engine import Engine
-from certrack.studies.ensembles.ensemble import CHUNK_MEMBERS
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import make_plan
-from certrack.studies.ensembles.workers import cores
+from certrack.studies.ensembles.workers import CHUNK_MEMBERS, cores
 
 MEMBERS = (1, 100, 10_000)
 FEW = 3  # members of those who integrate one after the other

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import platform
 import shutil
@@ -11,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,6 +46,7 @@ from certrack.studies.ensembles.statistics import (
     Tally,
     binomial_interval,
 )
+from certrack.studies.ensembles.workers import chunk_members
 
 METHODS = ["lockstep"] + ["native"] * (vector_compiler() is not None)
 
@@ -500,6 +503,21 @@ def test_certificates_hold_for_every_admissible_member(name):
     assert found.limit_origin == "certificate"
     assert found.violations()["count"] == 0
     assert found.statistics.outcomes == {"finished": 100_000}
+
+
+def test_a_cluster_with_work_enough_gets_larger_chunks():
+    def client(count):
+        return SimpleNamespace(scheduler_info=lambda: {"workers": dict.fromkeys(range(count))})
+
+    plan = make_plan(certrack.load("example1"), 0, 1e-6, math.inf, "native")
+    slow = replace(plan, method="alone")
+    assert chunk_members(plan, 10**7, None) == chunk_members(slow, 10**7, client(4)) == 16_384
+    assert chunk_members(plan, 10**7, client(4)) == 65_536
+    assert chunk_members(plan, 10**6, client(4)) == 49_152
+    assert chunk_members(plan, 10**5, client(4)) == chunk_members(plan, 1, client(0)) == 16_384
+    for members in (10**5, 10**6, 10**7):
+        chunks = members / chunk_members(plan, members, client(4))
+        assert chunks >= 16 or chunk_members(plan, members, client(4)) == 16_384
 
 
 @pytest.mark.slow

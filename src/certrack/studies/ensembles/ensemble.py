@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-#: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
-CHUNK_MEMBERS = 16_384
-
 #: More members at a time than this would fill the memory.
 MAX_CHUNK_MEMBERS = 2**24
 
@@ -319,7 +316,7 @@ def ensemble(
     limit: float | None = None,
     threads: int | None = None,
     method: str | None = None,
-    chunk: int = CHUNK_MEMBERS,
+    chunk: int | None = None,
     out: Path | str | None = None,
     client: Any = None,
     per_member: bool | None = None,
@@ -348,8 +345,9 @@ def ensemble(
     method : {"native", "lockstep", "alone"}, optional
         Compiled C; heyoka's compiled maps; or each member by itself as in :func:`simulate`. By
         default the first that this machine has. All agree within the tolerance.
-    chunk : int
-        Members computed at a time.
+    chunk : int, optional
+        Members computed at a time; by default 16,384, on a cluster up to four times as many, where
+        every worker still gets several chunks.
     out : path, optional
         Folder where finished chunks are kept. The same call goes on where a stopped one was.
     client : distributed.Client, optional
@@ -382,7 +380,8 @@ def ensemble(
     require_system(system)
     checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
-    checks.integer("chunk", chunk, 1, MAX_CHUNK_MEMBERS)
+    if chunk is not None:
+        checks.integer("chunk", chunk, 1, MAX_CHUNK_MEMBERS)
     if threads is not None:
         checks.integer("threads", threads, 1, MAX_THREADS)
     if method is not None:
@@ -394,6 +393,7 @@ def ensemble(
     per_member = members <= KEPT_MEMBERS if per_member is None else per_member
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0], per_member=per_member)
     plan, engine = _prepared(plan, method, threads, client)
+    chunk = chunk or workers.chunk_members(plan, members, client)
     total = plan.empty()
     with ExitStack() as stack:
         checkpoints = None if out is None else stack.enter_context(Checkpoints(Path(out), plan))
