@@ -28,6 +28,7 @@ from certrack.core.lowering import NumpyFunction, numpy_callable
 from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.integrators.many.implicit_source import implicit_steps
 from certrack.integrators.many.native_source import system_header
 
 VECTOR_FLAGS = (
@@ -41,12 +42,19 @@ WIDE = ["-mprefer-vector-width=512"]
 #: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
 ESTIMATE_EXCESS = 10.0
 
+#: That of the implicit steps does so by less.
+IMPLICIT_EXCESS = 4.0
+
 #: Vector functions of the C library, from the most to none: older ones lack some or all.
 VECTOR_MATH = (
     ["-DVECTOR_MATH", "-DMORE_VECTOR_MATH", "-lmvec", "-lm"],
     ["-DVECTOR_MATH", "-lmvec", "-lm"],
     ["-lm"],
 )
+
+
+#: What the C files include, by their paths below ``integrators``.
+HEADERS = ("vector_math.h", "scalar_math.h", "many/explicit_step.h", "many/implicit_step.h")
 
 
 def vector_compiler() -> str | None:
@@ -82,8 +90,8 @@ def packaged(name: str, system: str) -> str:
         return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
     source = text(name).replace('#include "system.h"\n', system)
-    for header in ("vector_math.h", "scalar_math.h"):
-        source = source.replace(f'#include "{header}"\n', text(header))
+    for header in HEADERS:
+        source = source.replace(f'#include "{header.rpartition("/")[2]}"\n', text(header))
     return source
 
 
@@ -240,10 +248,15 @@ class NativeResult:
 
 
 @remembered
-def _flow_form(flow: AugmentedFlow, shown: tuple[sympy.Expr, ...]) -> tuple[str, NumpyFunction]:
+def _flow_form(
+    flow: AugmentedFlow, shown: tuple[sympy.Expr, ...], implicit: bool
+) -> tuple[str, NumpyFunction]:
     """The generated part of native.c, and the numbers that it wants, from those of the flow."""
     fewest, numbers = flow.with_fewest_numbers()
-    return system_header(fewest, shown), numpy_callable([flow.numbers], list(numbers))
+    evaluate = numpy_callable([flow.numbers], list(numbers))
+    if not implicit:
+        return system_header(fewest, shown), evaluate
+    return system_header(fewest.linearised(), shown, implicit_steps()), evaluate
 
 
 def numbers_of(evaluate: NumpyFunction, values: Sequence[float]) -> np.ndarray:
@@ -262,6 +275,8 @@ class Native:
         Formulas of the states and of the signals' symbols at the end of a step.
     numbers : (K,) array
         Values of the flow's numbers.
+    implicit : bool
+        Whether steps are linearly implicit, for a stiff system, and not explicit.
 
     Raises
     ------
@@ -270,10 +285,16 @@ class Native:
     """
 
     def __init__(
-        self, flow: AugmentedFlow, shown: Sequence[sympy.Expr], numbers: Sequence[float] = ()
+        self,
+        flow: AugmentedFlow,
+        shown: Sequence[sympy.Expr],
+        numbers: Sequence[float] = (),
+        *,
+        implicit: bool = False,
     ) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        header, evaluate = _flow_form(flow, tuple(shown))
+        header, evaluate = _flow_form(flow, tuple(shown), implicit)
+        self._excess = IMPLICIT_EXCESS if implicit else ESTIMATE_EXCESS
         self._library = compiled_library("many/native.c", header)
         self._numbers = numbers_of(evaluate, numbers)
         self._spare_counts: list[np.ndarray] = []
@@ -325,7 +346,7 @@ class Native:
                 *pointers[2:4],
                 len(grid.times),
                 *pointers[4:],
-                ESTIMATE_EXCESS * control.tolerance,
+                self._excess * control.tolerance,
                 control.max_state,
                 control.max_steps,
                 tally.part.start,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from certrack.integrators.base import MethodUnavailable
 from certrack.laws.baselines.mpc import planned_limits, require_formula
@@ -17,6 +18,7 @@ from certrack.studies.ensembles.problem import EnsembleProblem
 
 CONTINUOUS: dict[str, Callable[[EnsembleProblem, int], Method]] = {
     "native": NativeContinuous,
+    "implicit": partial(NativeContinuous, implicit=True),
     "lockstep": LockstepContinuous,
 }
 

@@ -39,7 +39,9 @@ class NativeContinuous(Method):
         If no compiler can do it.
     """
 
-    def __init__(self, problem: EnsembleProblem, threads: int) -> None:
+    def __init__(
+        self, problem: EnsembleProblem, threads: int, *, implicit: bool = False
+    ) -> None:
         self._problem, self._threads = problem, threads
         self._modes = modes_of(problem.members.loop, side_by_side=True)
         members = problem.members
@@ -49,7 +51,7 @@ class NativeContinuous(Method):
         self._segments = problem.segments(switches, values)
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]
-        self._native = Native(self._flow, signals, numbers)
+        self._native = Native(self._flow, signals, numbers, implicit=implicit)
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
