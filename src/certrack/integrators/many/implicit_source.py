@@ -9,10 +9,12 @@ products that grows with n, where a full matrix takes n^3.
 from __future__ import annotations
 
 from collections.abc import Set
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
-import sympy
 
+from certrack.core.hoisting import Hoisted, hoisted
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import FunctionWriter, StepSource, c_enum, c_table
 from certrack.integrators.rosenbrock import RODAS5P
@@ -40,31 +42,71 @@ def implicit_steps() -> StepSource:
         c_table("COUPLING", method.coupling),
         c_table("SLOPE", method.slope),
         c_table("END_SLOPE", powers @ method.dense),
+        c_table("SAME_TIME", np.array([list(method.C).index(c) for c in method.C])).replace(
+            "double", "int"
+        ),
     )
     dense = np.pad(method.dense, ((0, 0), (0, 1)))  # the slope at the end has no weight
     return StepSource(method.stages, tables, dense, _linear_functions)
 
 
 def _linear_functions(flow: AugmentedFlow, function: FunctionWriter) -> list[str]:
-    """``linearise``, ``factorise`` and ``solve`` of implicit_step.h."""
+    """``forces``, ``forced_rates``, ``linearise``, ``factorise``, ``solve`` of implicit_step.h."""
     size = len(flow.states)
+    flow, forces = _with_forces(flow)
     places = [divmod(i, size) for i, formula in enumerate(flow.partials) if formula != 0]
-    partials = [flow.partials[row * size + column] for row, column in places]
     timed = [row for row, formula in enumerate(flow.by_time) if formula != 0]
-    factors, factorise, solve = elimination(size, places, timed)
+    factors, *solver = elimination(size, places, timed)
+    sizes = {
+        "NONZEROS": len(places),
+        "TIMED": len(timed),
+        "FACTORS": factors,
+        "FORCES": len(forces),
+        "ROWS": len(flow.by_time),
+    }
+    known = "const double *s, const double *c"
+    names = {symbol: f"w[{i}]" for i, symbol in enumerate(forces.values())}
+    rates = [("k", flow.rates), ("q", flow.integrands)]
     return [
-        c_enum({"NONZEROS": len(places), "TIMED": len(timed), "FACTORS": factors, "ROWS": len(flow.by_time)}),
+        c_enum(sizes),
+        function("forces", f"{known}, const V *p, V *w", ("w", list(forces))),
+        function(
+            "forced_rates", f"{known}, const V *w, const V *x, const V *p, V *k, V *q", *rates,
+            more=names,
+        ),
         function(
             "linearise",
-            "const double *s, const double *c, const V *x, const V *p, V *k, V *q, V *j, V *d",
-            ("k", flow.rates),
-            ("q", flow.integrands),
-            ("j", partials),
+            f"{known}, const V *w, const V *x, const V *p, V *k, V *q, V *j, V *d",
+            *rates,
+            ("j", [flow.partials[row * size + column] for row, column in places]),
             ("d", [flow.by_time[row] for row in timed]),
+            more=names,
         ),
-        factorise,
-        solve,
+        *solver,
     ]
+
+
+def _with_forces(flow: AugmentedFlow) -> tuple[AugmentedFlow, Hoisted]:
+    """The flow with one symbol for every term of rates and integrands in time and a member alone.
+
+    Such terms, random disturbances above all, are computed once for the stages of a step that are
+    at the same time. Modes are no part of them: they change without the time.
+    """
+    times = set().union(*(f.free_symbols for f in (*flow.rates, *flow.integrands)))
+    times -= {*flow.states, *flow.parameters, *flow.shared, *flow.numbers}
+    members = set(flow.parameters[: len(flow.parameters) - 2 * len(flow.held)])
+    formulas = [*flow.rates, *flow.integrands, *flow.partials, *flow.by_time]
+    changed, symbols = hoisted(formulas, times, members | set(flow.numbers), "kept_force")
+    count = len(flow.rates) + len(flow.integrands)
+    used = set().union(*(formula.free_symbols for formula in changed[:count]))
+    forces = {
+        term: name for term, name in symbols.items() if name in used and term.free_symbols & members
+    }
+    back = {name: term for term, name in symbols.items() if term not in forces}
+    terms = iter([formula.xreplace(back) for formula in changed])
+    kinds = ("rates", "integrands", "partials", "by_time")
+    parts = {kind: tuple(islice(terms, len(getattr(flow, kind)))) for kind in kinds}
+    return replace(flow, **parts), forces
 
 
 def elimination(

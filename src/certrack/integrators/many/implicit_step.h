@@ -6,8 +6,10 @@
  *   (1/GAMMA - h J) k_i = f(t + C_i h, x + h sum_j A_ij k_j) + sum_j COUPLING_ij k_j + h SLOPE_i d
  * with the same matrix, and ends at x + h sum_i B_i k_i. The integrals are further states on which
  * nothing depends. `system.h` also holds
- *   linearise(s, c, x, p, k, q, j, d)   k = x', q = integrands; of both the derivatives by the
- *                                       states that are not zero everywhere, and those by time
+ *   forces(s, c, p, w)                  what depends on time and the member alone
+ *   forced_rates(s, c, w, x, p, k, q)   k = x', q = integrands
+ *   linearise(s, c, w, x, p, k, q, j, d)   the same; of both the derivatives by the states that are
+ *                                       not zero everywhere, and those by time
  *   factorise(h, j, m)                  the matrix as triangular factors m; in which lanes they hold
  *   solve(m, d, weight, f)              from the right-hand sides f, plus weight d, to the solution
  * where pivots are those of the diagonal, in an order that keeps zeros zero. As h falls the matrix
@@ -49,21 +51,23 @@ INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES],
 OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
   double h = s->h, (*c)[COMMON + 1] = s->c;
   V m[BLOCKS][FACTORS], d[BLOCKS][TIMED + 1], rises[BLOCKS][STAGES][INTEGRALS + 1];
+  V w[STAGES][BLOCKS][FORCES + 1];
   V worst = SPLAT(0.0);
   I sound[BLOCKS];
 #pragma GCC unroll 16
   for (int i = 0; i < STAGES; i++)
     EACH_BLOCK(b) {
       const Block *block = &g->block[b];
-      V f[ROWS];
+      V f[ROWS], *force = w[SAME_TIME[i]][b];
+      if (SAME_TIME[i] == i) forces(g->s, c[i], block->p, force);
       if (i == 0) {
         V j[NONZEROS + 1];
-        linearise(g->s, c[0], block->x, block->p, f, f + STATES, j, d[b]);
+        linearise(g->s, c[0], force, block->x, block->p, f, f + STATES, j, d[b]);
         sound[b] = factorise(h, j, m[b]);
       } else {
         V x[STATES];
         stage(block, h, i, s->k[b], x);
-        rates(g->s, c[i], x, block->p, f, f + STATES);
+        forced_rates(g->s, c[i], force, x, block->p, f, f + STATES);
       }
 #pragma GCC unroll 16
       for (int a = 0; a < i; a++) {

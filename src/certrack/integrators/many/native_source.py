@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -119,7 +120,8 @@ def _power(base: str, exponent: int) -> str:
     return "(" + "*".join([base] * exponent) + ")"
 
 
-#: Writes a C function of the system: its name, its arguments, and what it assigns to each of them.
+#: Writes a C function of the system: its name, its arguments, what it assigns to each of them, and
+#: the names of further symbols.
 FunctionWriter = Callable[..., str]
 
 
@@ -190,9 +192,14 @@ def system_header(
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
-    def function(name: str, arguments: str, *results: tuple[str, Sequence[sympy.Expr]]) -> str:
+    def function(
+        name: str,
+        arguments: str,
+        *results: tuple[str, Sequence[sympy.Expr]],
+        more: Mapping[sympy.Symbol, str] = MappingProxyType({}),
+    ) -> str:
         targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
-        return c_function(name, arguments, targets, names)
+        return c_function(name, arguments, targets, {**names, **more})
 
     memories = [formula for _, formula in timeless.memories]
     parts = [
