@@ -32,6 +32,8 @@ class NativeContinuous(Method):
     ----------
     problem : EnsembleProblem
     threads : int
+    implicit : bool
+        Whether steps are linearly implicit, for a stiff loop, and not explicit.
 
     Raises
     ------
@@ -52,7 +54,8 @@ class NativeContinuous(Method):
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]
         self._native = Native(self._flow, signals, numbers, implicit=implicit)
-        self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
+        self._counted = counts_shape(len(signals), len(problem.times))
+        self._native.reserve(threads, self._counted)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         results, part = self._integrate(begin, end, bands)
@@ -68,21 +71,47 @@ class NativeContinuous(Method):
         states: np.ndarray = results.finals[: self._flow.watched, part]
         return np.where(results.ends[part] < self._problem.end, np.nan, states)
 
+    def first_group(
+        self, tolerance: float, max_steps: int = MAX_GROUP_STEPS
+    ) -> tuple[int, int]:
+        """Steps that the first group of members takes, and how many of it are given up."""
+        nothing = np.zeros(self._counted, dtype=np.int32)
+        centre, unit = np.zeros(self._counted[1::-1]), np.ones(self._counted[1])
+        tally = BinCounts(slice(0, 0), BINS_PER_SIDE, BAND_BITS, nothing)
+        results = self._groups(0, GROUP_SIZE, tally, centre, unit, tolerance, max_steps, threads=1)
+        return results.steps, int((results.outcomes == MemberOutcome.run_alone).sum())
+
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
+        first, last = begin - begin % GROUP_SIZE, -(-end // GROUP_SIZE) * GROUP_SIZE
+        part = slice(begin - first, end - first)
+        tally = BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts)
+        tolerance, threads = self._problem.tolerance, self._threads
+        centre, unit = bands.centre, bands.unit
+        return self._groups(first, last, tally, centre, unit, tolerance, threads=threads), part
+
+    def _groups(
+        self,
+        first: int,
+        last: int,
+        tally: BinCounts,
+        centre: np.ndarray,
+        unit: np.ndarray,
+        tolerance: float,
+        max_steps: int = MAX_GROUP_STEPS,
+        *,
+        threads: int,
+    ) -> NativeResult:
+        """The members first ... last-1, which are whole groups."""
         problem, segments = self._problem, self._segments
-        first = begin - begin % GROUP_SIZE
-        starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
+        starts, table = problem.starts_and_parameters(first, last)
         modes = np.repeat(np.array(self._modes)[:, None], starts.shape[1], axis=1)
         names = self._flow.parameters[: len(self._flow.parameters) - len(modes)]
-        parameters = np.vstack([[table[name] for name in names], modes])
-        part = slice(begin - first, end - first)
-        results = self._native.integrate(
+        return self._native.integrate(
             starts,
-            parameters,
-            SharedGrid(segments.edges, segments.shared, problem.times, bands.centre, bands.unit),
-            StepControl(problem.tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
-            BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts),
-            self._threads,
+            np.vstack([[table[name] for name in names], modes]),
+            SharedGrid(segments.edges, segments.shared, problem.times, centre, unit),
+            StepControl(tolerance, problem.system.settings.max_state, max_steps),
+            tally,
+            threads,
         )
-        return results, part
