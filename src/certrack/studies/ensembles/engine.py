@@ -151,15 +151,13 @@ def fastest(plan: Plan, threads: int) -> Engine:
     for name in METHODS:
         if name == "implicit":
             continue
+        chosen = replace(plan, method=name)
         try:
-            engine = Engine(replace(plan, method=name), threads)
+            if name == "native" and is_stiff(chosen, chosen.registered):
+                chosen = replace(plan, method="implicit")
+            return Engine(chosen, threads)
         except MethodUnavailable:
             continue
-        if isinstance(engine.method, NativeContinuous):
-            steps, _ = engine.method.first_group(plan.tolerance, FEW_STEPS)
-            if steps >= FEW_STEPS and is_stiff(engine.plan, engine.plan.registered):
-                return Engine(replace(plan, method="implicit"), threads)
-        return engine
     raise AssertionError("members can always be run alone")
 
 
@@ -170,9 +168,13 @@ def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
     What counts are the steps that the first group of members takes. Where the explicit steps are
     bound by accuracy, fewer do at a looser tolerance, and nothing else has to be compiled.
     """
+    if plan.system.implementation is not None:
+        return False
     explicit = Engine(plan).method
     assert isinstance(explicit, NativeContinuous)
     steps, given_up = explicit.first_group(plan.tolerance)
+    if steps < FEW_STEPS:
+        return False
     loose = max(min(LOOSER * plan.tolerance, LOOSEST), plan.tolerance)
     loose_steps, _ = explicit.first_group(loose)
     if steps * STILL_AS_MANY > loose_steps * (loose / plan.tolerance) ** (1 / DOP853.order):

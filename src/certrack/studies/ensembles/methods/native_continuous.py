@@ -71,14 +71,12 @@ class NativeContinuous(Method):
         states: np.ndarray = results.finals[: self._flow.watched, part]
         return np.where(results.ends[part] < self._problem.end, np.nan, states)
 
-    def first_group(
-        self, tolerance: float, max_steps: int = MAX_GROUP_STEPS
-    ) -> tuple[int, int]:
+    def first_group(self, tolerance: float) -> tuple[int, int]:
         """Steps that the first group of members takes, and how many of it are given up."""
         nothing = np.zeros(self._counted, dtype=np.int32)
         centre, unit = np.zeros(self._counted[1::-1]), np.ones(self._counted[1])
         tally = BinCounts(slice(0, 0), BINS_PER_SIDE, BAND_BITS, nothing)
-        results = self._groups(0, GROUP_SIZE, tally, centre, unit, tolerance, max_steps, threads=1)
+        results = self._groups(0, GROUP_SIZE, tally, centre, unit, tolerance, threads=1)
         return results.steps, int((results.outcomes == MemberOutcome.run_alone).sum())
 
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
@@ -98,7 +96,6 @@ class NativeContinuous(Method):
         centre: np.ndarray,
         unit: np.ndarray,
         tolerance: float,
-        max_steps: int = MAX_GROUP_STEPS,
         *,
         threads: int,
     ) -> NativeResult:
@@ -111,7 +108,7 @@ class NativeContinuous(Method):
             starts,
             np.vstack([[table[name] for name in names], modes]),
             SharedGrid(segments.edges, segments.shared, problem.times, centre, unit),
-            StepControl(tolerance, problem.system.settings.max_state, max_steps),
+            StepControl(tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
             tally,
             threads,
         )
