@@ -46,10 +46,9 @@ class AugmentedFlow:
         Of all of them what stands for the sign, then the drifts, then the effects
         (:mod:`certrack.loops.switching`).
     partials : formulas
-        Derivatives of rates, then of integrands, by every state, row by row; none before
-        :meth:`linearised`.
+        Derivatives of the rates by every state, row by row; none before :meth:`linearised`.
     by_time : formulas
-        Derivatives of rates, then of integrands, by time.
+        Derivatives of the rates by time.
     """
 
     states: tuple[sympy.Symbol, ...]
@@ -84,12 +83,11 @@ class AugmentedFlow:
         return {name: slice(a, b) for name, a, b in zip(sizes, begins, ends, strict=True)}
 
     def linearised(self) -> AugmentedFlow:
-        """The flow with the derivatives of its rates and integrands; kinks have one-sided slopes."""
-        formulas = (*self.rates, *self.integrands)
+        """The flow with the derivatives of its rates; kinks have one-sided slopes."""
         return replace(
             self,
-            partials=tuple(jacobian(formulas, self.states)),
-            by_time=tuple(jacobian(formulas, [TIME])),
+            partials=tuple(jacobian(self.rates, self.states)),
+            by_time=tuple(jacobian(self.rates, [TIME])),
         )
 
     def without_time(self) -> tuple[AugmentedFlow, Hoisted]:

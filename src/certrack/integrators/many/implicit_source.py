@@ -8,15 +8,21 @@ products that grows with n, where a full matrix takes n^3.
 
 from __future__ import annotations
 
-from collections.abc import Set
-from dataclasses import replace
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
 
 from certrack.core.hoisting import Hoisted, hoisted
 from certrack.integrators.many.augmented import AugmentedFlow
-from certrack.integrators.many.native_source import FunctionWriter, StepSource, c_enum, c_table
+from certrack.integrators.many.native_source import (
+    FunctionWriter,
+    StepSource,
+    braces,
+    c_enum,
+    c_table,
+)
 from certrack.integrators.rosenbrock import RODAS5P
 
 #: A pivot is at least this part of what it is as the step vanishes, 1/gamma: factors then lose no
@@ -25,6 +31,10 @@ from certrack.integrators.rosenbrock import RODAS5P
 #: characteristic polynomial of the rest at 1/(gamma h), so larger where the loop is stable.
 LEAST_PIVOT = 1e-4
 
+#: Points of Gauss's quadrature of a step's integrals: exact for the squares of cubics, and to 1e-3 of
+#: what is left for those of the dense output.
+POINTS = 4
+
 Place = tuple[int, int]
 
 
@@ -32,184 +42,179 @@ def implicit_steps() -> StepSource:
     """What the implicit steps of native.c want of ``system.h``."""
     method = RODAS5P
     powers = np.arange(1.0, len(method.dense) + 1)
+    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
+    nodes, times = (1.0 + nodes) / 2.0, method.C.tolist()
     tables = (
         "#define IMPLICIT",
+        c_enum({"POINTS": POINTS}),
         f"static const double GAMMA = {method.gamma!r};",
         c_table("A", method.A),
         c_table("B", method.B),
-        c_table("C", np.append(method.C, 1.0)),
+        c_table("C", np.concatenate([method.C, [1.0], nodes])),
+        f"static const int SAME_TIME[] = {braces([times.index(c) for c in times])};",
         c_table("E", method.errors),
         c_table("COUPLING", method.coupling),
         c_table("SLOPE", method.slope),
         c_table("END_SLOPE", powers @ method.dense),
-        c_table("SAME_TIME", np.array([list(method.C).index(c) for c in method.C])).replace(
-            "double", "int"
-        ),
+        c_table("INSIDE", nodes[:, None] ** powers @ method.dense),
+        c_table("PARTS", weights / 2.0),
     )
     dense = np.pad(method.dense, ((0, 0), (0, 1)))  # the slope at the end has no weight
     return StepSource(method.stages, tables, dense, _linear_functions)
 
 
 def _linear_functions(flow: AugmentedFlow, function: FunctionWriter) -> list[str]:
-    """``forces``, ``forced_rates``, ``linearise``, ``factorise``, ``solve`` of implicit_step.h."""
+    """The functions of implicit_step.h."""
     size = len(flow.states)
     flow, forces = _with_forces(flow)
     places = [divmod(i, size) for i, formula in enumerate(flow.partials) if formula != 0]
     timed = [row for row, formula in enumerate(flow.by_time) if formula != 0]
-    factors, *solver = elimination(size, places, timed)
+    factors, factorise = triangular_factors(size, places)
     sizes = {
         "NONZEROS": len(places),
         "TIMED": len(timed),
-        "FACTORS": factors,
+        "FACTORS": factors.count,
         "FORCES": len(forces),
-        "ROWS": len(flow.by_time),
     }
     known = "const double *s, const double *c"
     names = {symbol: f"w[{i}]" for i, symbol in enumerate(forces.values())}
-    rates = [("k", flow.rates), ("q", flow.integrands)]
+    partials = [flow.partials[row * size + column] for row, column in places]
+    by_time = [flow.by_time[row] for row in timed]
     return [
         c_enum(sizes),
+        function("integrands", f"{known}, const V *x, const V *p, V *q", ("q", flow.integrands)),
         function("forces", f"{known}, const V *p, V *w", ("w", list(forces))),
         function(
-            "forced_rates", f"{known}, const V *w, const V *x, const V *p, V *k, V *q", *rates,
+            "forced_rates",
+            f"{known}, const V *w, const V *x, const V *p, V *k",
+            ("k", flow.rates),
             more=names,
         ),
         function(
             "linearise",
-            f"{known}, const V *w, const V *x, const V *p, V *k, V *q, V *j, V *d",
-            *rates,
-            ("j", [flow.partials[row * size + column] for row, column in places]),
-            ("d", [flow.by_time[row] for row in timed]),
+            f"{known}, const V *w, const V *x, const V *p, V *k, V *j, V *d",
+            ("k", flow.rates),
+            ("j", partials),
+            ("d", by_time),
             more=names,
         ),
-        *solver,
+        factorise,
+        solution(factors, timed),
     ]
 
 
 def _with_forces(flow: AugmentedFlow) -> tuple[AugmentedFlow, Hoisted]:
-    """The flow with one symbol for every term of rates and integrands in time and a member alone.
+    """The flow with one symbol for every term of its rates in time and a member alone.
 
     Such terms, random disturbances above all, are computed once for the stages of a step that are
     at the same time. Modes are no part of them: they change without the time.
     """
-    times = set().union(*(f.free_symbols for f in (*flow.rates, *flow.integrands)))
+    times = set().union(*(rate.free_symbols for rate in flow.rates))
     times -= {*flow.states, *flow.parameters, *flow.shared, *flow.numbers}
     members = set(flow.parameters[: len(flow.parameters) - 2 * len(flow.held)])
-    formulas = [*flow.rates, *flow.integrands, *flow.partials, *flow.by_time]
+    formulas = [*flow.rates, *flow.partials, *flow.by_time]
     changed, symbols = hoisted(formulas, times, members | set(flow.numbers), "kept_force")
-    count = len(flow.rates) + len(flow.integrands)
-    used = set().union(*(formula.free_symbols for formula in changed[:count]))
+    used = set().union(*(formula.free_symbols for formula in changed[: len(flow.rates)]))
     forces = {
         term: name for term, name in symbols.items() if name in used and term.free_symbols & members
     }
     back = {name: term for term, name in symbols.items() if term not in forces}
     terms = iter([formula.xreplace(back) for formula in changed])
-    kinds = ("rates", "integrands", "partials", "by_time")
+    kinds = ("rates", "partials", "by_time")
     parts = {kind: tuple(islice(terms, len(getattr(flow, kind)))) for kind in kinds}
     return replace(flow, **parts), forces
 
 
-def elimination(
-    size: int, places: list[Place], timed: list[int]
-) -> tuple[int, str, str]:
-    """Triangular factors of 1/GAMMA - h J and the solution with them, as C of vectors.
+@dataclass(frozen=True)
+class TriangularFactors:
+    """Where the factors of a matrix have their entries, pivot by pivot.
 
-    Rows from `size` on are quantities on which nothing depends, such as integrals: they follow from
-    the solution of the others.
+    Attributes
+    ----------
+    order : tuple of int
+        The pivots' rows.
+    below, beside : tuples of tuples of int, per row
+        Rows below and columns beside its pivot with an entry in the factors.
+    stored : dict
+        Names of the entries and of the inverse pivots, and where these are kept.
+    """
+
+    order: tuple[int, ...]
+    below: dict[int, tuple[int, ...]]
+    beside: dict[int, tuple[int, ...]]
+    stored: dict[str, str]
+
+    @property
+    def count(self) -> int:
+        return len(self.stored)
+
+
+def triangular_factors(size: int, places: Sequence[Place]) -> tuple[TriangularFactors, str]:
+    """Factors of 1/GAMMA - h J, and the C function ``factorise``.
 
     Parameters
     ----------
     size : int
-        Of the square matrix.
-    places : list of (row, column)
+        Of the matrix.
+    places : sequence of (row, column)
         Of the entries of J that are not zero, in the order in which they are stored.
-    timed : list of int
-        Rows with a derivative by time, in the order in which these are stored.
-
-    Returns
-    -------
-    factors : int
-        How many numbers the factors are.
-    factorise, solve : str
-        C functions.
     """
-    filled = {(row, column) for row, column in places if row < size} | {(i, i) for i in range(size)}
-    order, below, beside = [], {}, {}
-    left = list(range(size))
-    update = []
+    lines = [f"  V {_entry(i, i)} = SPLAT(1.0 / GAMMA);" for i in range(size)]
+    for k, (row, column) in enumerate(places):
+        target = _entry(row, column)
+        lines.append(f"  {target} -= h * j[{k}];" if row == column else f"  V {target} = -h * j[{k}];")
+    filled = {*places, *((i, i) for i in range(size))}
+    left, order, below, beside = list(range(size)), [], {}, {}
     while left:
         pivot = min(left, key=lambda i: (_fill(filled, left, i), i))
         left.remove(pivot)
         order.append(pivot)
-        below[pivot] = [row for row in left if (row, pivot) in filled]
-        beside[pivot] = [column for column in left if (pivot, column) in filled]
-        update += [
-            f"  V inverse_{pivot} = 1.0 / {_entry(pivot, pivot)};",
-            f"  holds &= v_abs({_entry(pivot, pivot)}) >= SPLAT({LEAST_PIVOT!r} / GAMMA);",
+        below[pivot] = tuple(row for row in left if (row, pivot) in filled)
+        beside[pivot] = tuple(column for column in left if (pivot, column) in filled)
+        value = _entry(pivot, pivot)
+        lines += [
+            f"  holds &= v_abs({value}) >= SPLAT({LEAST_PIVOT!r} / GAMMA);",
+            f"  V {_inverse(pivot)} = 1.0 / {value};",
         ]
         for row in below[pivot]:
-            update.append(f"  {_entry(row, pivot)} *= inverse_{pivot};")
+            lines.append(f"  {_entry(row, pivot)} *= {_inverse(pivot)};")
             for column in beside[pivot]:
+                known = (row, column) in filled
+                filled.add((row, column))
                 product = f"{_entry(row, pivot)} * {_entry(pivot, column)}"
-                if (row, column) in filled:
-                    update.append(f"  {_entry(row, column)} -= {product};")
-                else:
-                    filled.add((row, column))
-                    update.append(f"  V {_entry(row, column)} = -({product});")
-    start = []
-    for i in range(size):
-        start.append(f"  V {_entry(i, i)} = SPLAT(1.0 / GAMMA);")
-    stored: dict[str, int] = {}
-
-    def kept(name: str) -> str:
-        return f"m[{stored.setdefault(name, len(stored))}]"
-
-    for k, (row, column) in enumerate(places):
-        if row == column:
-            start.append(f"  {_entry(row, row)} -= h * j[{k}];")
-        elif row < size:
-            start.append(f"  V {_entry(row, column)} = -h * j[{k}];")
-    forward, backward, integrals = [], [], []
-    for pivot in order:
-        for row in below[pivot]:
-            forward.append(f"  f[{row}] -= {kept(_entry(row, pivot))} * f[{pivot}];")
-    for pivot in reversed(order):
-        for column in beside[pivot]:
-            backward.append(f"  f[{pivot}] -= {kept(_entry(pivot, column))} * f[{column}];")
-        backward.append(f"  f[{pivot}] *= {kept(f'inverse_{pivot}')};")
-    outer = sorted({row for row, _ in places if row >= size} | {r for r in timed if r >= size})
-    for k, (row, column) in enumerate(places):
-        if row >= size:
-            name = _entry(row, column)
-            start.append(f"  V {name} = h * j[{k}];")
-            integrals.append(f"  f[{row}] += {kept(name)} * f[{column}];")
-    store = [f"  m[{place}] = {name};" for name, place in stored.items()]
-    add = [f"  f[{row}] += weight * d[{k}];" for k, row in enumerate(timed)]
-    scaled = ["  for (int i = STATES; i < ROWS; i++) f[i] *= GAMMA;"]
-    factorise = [
-        "INLINE I factorise(double h, const V *j, V *m) {",
-        "  I holds = ~(I){0};",
-        *start,
-        *update,
-        *store,
-        "  return holds;",
-        "}",
-    ]
-    solve = [
-        "INLINE void solve(const V *m, const V *d, double weight, V *f) {",
-        "  (void)d, (void)weight;",
-        *add,
-        *forward,
-        *backward,
-        *integrals,
-        *scaled,
-        "}",
-    ]
-    del outer
-    return len(stored), "\n".join(factorise) + "\n", "\n".join(solve) + "\n"
+                target = _entry(row, column)
+                lines.append(f"  {target} -= {product};" if known else f"  V {target} = -({product});")
+    names = [_inverse(i) for i in order]
+    names += [_entry(row, i) for i in order for row in below[i]]
+    names += [_entry(i, column) for i in order for column in beside[i]]
+    stored = {name: f"m[{k}]" for k, name in enumerate(names)}
+    lines += [f"  {place} = {name};" for name, place in stored.items()]
+    head = "INLINE I factorise(double h, const V *j, V *m) {\n  I holds = ~(I){0};\n"
+    text = head + "\n".join(lines) + "\n  return holds;\n}\n"
+    return TriangularFactors(tuple(order), below, beside, stored), text
 
 
-def _fill(filled: Set[Place], left: list[int], pivot: int) -> int:
+def solution(factors: TriangularFactors, timed: Sequence[int]) -> str:
+    """The C function ``solve``.
+
+    Parameters
+    ----------
+    factors : TriangularFactors
+    timed : sequence of int
+        Rows whose rate has a derivative by time, in the order in which these are stored.
+    """
+    kept = factors.stored
+    lines = [f"  f[{row}] += weight * d[{k}];" for k, row in enumerate(timed)]
+    for i in factors.order:
+        lines += [f"  f[{row}] -= {kept[_entry(row, i)]} * f[{i}];" for row in factors.below[i]]
+    for i in reversed(factors.order):
+        lines += [f"  f[{i}] -= {kept[_entry(i, j)]} * f[{j}];" for j in factors.beside[i]]
+        lines.append(f"  f[{i}] *= {kept[_inverse(i)]};")
+    head = "INLINE void solve(const V *m, const V *d, double weight, V *f) {\n"
+    return head + "  (void)d, (void)weight;\n" + "\n".join(lines) + "\n}\n"
+
+
+def _fill(filled: Set[Place], left: Sequence[int], pivot: int) -> int:
     """The most entries that become nonzero if a pivot is taken next (Markowitz)."""
     rows = sum((row, pivot) in filled for row in left)
     columns = sum((pivot, column) in filled for column in left)
@@ -218,3 +223,7 @@ def _fill(filled: Set[Place], left: list[int], pivot: int) -> int:
 
 def _entry(row: int, column: int) -> str:
     return f"a_{row}_{column}"
+
+
+def _inverse(row: int) -> str:
+    return f"inverse_{row}"

@@ -56,8 +56,8 @@ static const double RUSH = 1e-7;
 /* Members of a group, which share their steps. */
 enum { GROUP_SIZE = BLOCKS * LANES };
 
-/* Nodes of a step: the stages and its end. */
-enum { NODES = (STAGES + LANES) / LANES * LANES };
+/* Nodes of a step: the stages, its end, and what else its times are. */
+enum { TIMES = sizeof C / sizeof *C, NODES = (TIMES + LANES - 1) / LANES * LANES };
 
 /* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
  * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
@@ -129,7 +129,7 @@ static void common_at(double t, const double *s, double *c) {
 static void common_along(double t, double h, const double *s, double (*c)[COMMON + 1]) {
   for (int i = 0; i < NODES; i += LANES) {
     V when, values[COMMON + 1];
-    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l <= STAGES ? i + l : 0];
+    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l < TIMES ? i + l : 0];
     common(when, s, values);
     for (int j = 0; j < COMMON; j++)
       for (int l = 0; l < LANES; l++) c[i + l][j] = values[j][l];
