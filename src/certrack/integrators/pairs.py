@@ -128,11 +128,12 @@ def heyoka_sum(h: Any, weights: Sequence[float] | np.ndarray, values: Sequence[A
 
 
 def fixed_numbers(values: Sequence[float]) -> np.ndarray:
+    """Coefficients that nobody can change."""
     return _read_only(np.array(values, dtype=float))
 
 
 def lower_triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
-    """A square table from its rows left of the diagonal."""
+    """A square table that nobody can change, from its rows left of the diagonal."""
     table = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):
         table[i, :i] = row
@@ -168,7 +169,9 @@ DORMAND_PRINCE = Pair(
     ),
     B=fixed_numbers((35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)),
     C=fixed_numbers((0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1)),
-    errors=(fixed_numbers((-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)),),
+    errors=(
+        fixed_numbers((-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)),
+    ),
     error_orders=(4,),
 )
 

@@ -60,9 +60,9 @@ class Rosenbrock:
         return len(self.B)
 
 
-# The table of Rodas5P: G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical
-# benchmarks within the Julia Differential Equations package, BIT Numerical Mathematics 63:27 (2023);
-# the numbers as OrdinaryDiffEq.jl has them (MIT licence). It is L-stable and stiffly accurate: the
+# The table of Rodas5P: G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and
+# numerical benchmarks within the Julia Differential Equations package, BIT Numerical Mathematics
+# 63:27 (2023); the numbers are those of OrdinaryDiffEq.jl. It is L-stable and stiffly accurate: the
 # last stages are evaluated at the ends of embedded methods, so b, a_8 and a_7 begin alike.
 # fmt: off
 _RODAS5P_A = (

@@ -31,8 +31,7 @@ from certrack.integrators.rosenbrock import RODAS5P
 #: characteristic polynomial of the rest at 1/(gamma h), so larger where the loop is stable.
 LEAST_PIVOT = 1e-4
 
-#: Points of Gauss's quadrature of a step's integrals: exact for the squares of cubics, and to 1e-3 of
-#: what is left for those of the dense output.
+#: Points of Gauss's quadrature of a step's integrals, exact for the squares of cubics.
 POINTS = 4
 
 Place = tuple[int, int]
@@ -120,9 +119,10 @@ def _with_forces(flow: AugmentedFlow) -> tuple[AugmentedFlow, Hoisted]:
     }
     back = {name: term for term, name in symbols.items() if term not in forces}
     terms = iter([formula.xreplace(back) for formula in changed])
-    kinds = ("rates", "partials", "by_time")
-    parts = {kind: tuple(islice(terms, len(getattr(flow, kind)))) for kind in kinds}
-    return replace(flow, **parts), forces
+    rates, partials, by_time = (
+        tuple(islice(terms, len(kind))) for kind in (flow.rates, flow.partials, flow.by_time)
+    )
+    return replace(flow, rates=rates, partials=partials, by_time=by_time), forces
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,9 @@ def triangular_factors(size: int, places: Sequence[Place]) -> tuple[TriangularFa
     lines = [f"  V {_entry(i, i)} = SPLAT(1.0 / GAMMA);" for i in range(size)]
     for k, (row, column) in enumerate(places):
         target = _entry(row, column)
-        lines.append(f"  {target} -= h * j[{k}];" if row == column else f"  V {target} = -h * j[{k}];")
+        lines.append(
+            f"  {target} -= h * j[{k}];" if row == column else f"  V {target} = -h * j[{k}];"
+        )
     filled = {*places, *((i, i) for i in range(size))}
     left, order, below, beside = list(range(size)), [], {}, {}
     while left:
@@ -183,7 +185,9 @@ def triangular_factors(size: int, places: Sequence[Place]) -> tuple[TriangularFa
                 filled.add((row, column))
                 product = f"{_entry(row, pivot)} * {_entry(pivot, column)}"
                 target = _entry(row, column)
-                lines.append(f"  {target} -= {product};" if known else f"  V {target} = -({product});")
+                lines.append(
+                    f"  {target} -= {product};" if known else f"  V {target} = -({product});"
+                )
     names = [_inverse(i) for i in order]
     names += [_entry(row, i) for i in order for row in below[i]]
     names += [_entry(i, column) for i in order for column in beside[i]]

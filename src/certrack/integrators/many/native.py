@@ -37,10 +37,10 @@ VECTOR_FLAGS = (
 ).split()
 WIDE = ["-mprefer-vector-width=512"]
 
-#: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed
-#: (that of the implicit steps, of order 4, is taken as it is: then errors stay below the tolerance).
+#: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed.
 #: At the end of a run the error of the states then stays below the tolerance (a test measures it);
 #: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
+#: The estimate of implicit steps is taken as it is.
 ESTIMATE_EXCESS = 10.0
 
 #: Vector functions of the C library, from the most to none: older ones lack some or all.

@@ -21,13 +21,13 @@ from certrack.studies.ensembles.statistics import Bands, Statistics
 #: A group with fewer steps is fast enough, stiff or not.
 FEW_STEPS = 400
 
-#: Steps of order 8 that are bound by accuracy grow with the 8th root of the tolerance. Where so much
-#: looser a tolerance, at which states still have two digits, leaves more than so many of them, they
-#: may be bound by stability.
+#: Steps of order 8 that are bound by accuracy grow with the 8th root of the tolerance. Where one
+#: that is so much looser, but leaves the states two digits, needs more than this part of what that
+#: says, steps may be bound by stability.
 LOOSER, LOOSEST, STILL_AS_MANY = 1e4, 1e-2, 0.8
 
 #: An implicit step costs 0.7 to 1.4 explicit ones; it must save more.
-STEPS_PER_IMPLICIT = 2.0
+STEPS_PER_IMPLICIT = 1.7
 
 #: Numbers of the outcomes.
 OUTCOME_CODES = {outcome: code for code, outcome in enumerate(Outcome)}
@@ -163,7 +163,7 @@ def fastest(plan: Plan, threads: int) -> Engine:
 
 @remembered
 def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
-    """Whether implicit steps save more than half of the explicit ones of the plan.
+    """Whether implicit steps are so much fewer than explicit ones that they cost less.
 
     What counts are the steps that the first group of members takes. Where the explicit steps are
     bound by accuracy, fewer do at a looser tolerance, and nothing else has to be compiled.
@@ -185,7 +185,7 @@ def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
         return False
     assert isinstance(implicit, NativeContinuous)
     fewer, lost = implicit.first_group(plan.tolerance)
-    return lost <= given_up and fewer < steps / STEPS_PER_IMPLICIT
+    return lost <= given_up and STEPS_PER_IMPLICIT * fewer < steps
 
 
 @remembered

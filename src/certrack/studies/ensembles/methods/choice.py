@@ -42,7 +42,9 @@ def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
     if planned_limits(system.law, system.implementation) is not None:
         raise MethodUnavailable("the mpc law plans its input sample by sample")
     if name == "implicit" and system.implementation is not None:
-        raise MethodUnavailable("a sampled loop has no implicit steps: its plant moves sample by sample")
+        raise MethodUnavailable(
+            "a sampled loop has no implicit steps: its plant moves sample by sample"
+        )
     if system.implementation is None:
         return CONTINUOUS[name](problem, threads)
     return SAMPLED[name](problem, threads, adjustable=False)

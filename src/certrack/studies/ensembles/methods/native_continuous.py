@@ -41,9 +41,7 @@ class NativeContinuous(Method):
         If no compiler can do it.
     """
 
-    def __init__(
-        self, problem: EnsembleProblem, threads: int, *, implicit: bool = False
-    ) -> None:
+    def __init__(self, problem: EnsembleProblem, threads: int, *, implicit: bool = False) -> None:
         self._problem, self._threads = problem, threads
         self._modes = modes_of(problem.members.loop, side_by_side=True)
         members = problem.members
