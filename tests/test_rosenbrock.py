@@ -20,7 +20,7 @@ from test_pairs import density, trees
 
 from certrack.integrators.many.implicit_source import (
     LEAST_PIVOT,
-    solution,
+    solve_function,
     triangular_factors,
 )
 from certrack.integrators.rosenbrock import RODAS5P
@@ -181,7 +181,7 @@ def test_the_factors_solve_the_system(matrix, timed):
     d = np.arange(2.0, 2 + len(timed))
     right = f.copy()
     right[timed] += 0.7 * d
-    in_python(solution(factors, timed), m=m, d=d, weight=0.7, f=f)
+    in_python(solve_function(factors, timed), m=m, d=d, weight=0.7, f=f)
     assert np.abs(dense @ f - right).max() < 1e-9 * (1 + np.abs(f).max())
 
 

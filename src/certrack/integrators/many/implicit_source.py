@@ -32,7 +32,7 @@ from certrack.integrators.rosenbrock import RODAS5P
 LEAST_PIVOT = 1e-4
 
 #: Points of Gauss's quadrature of a step's integrals, exact for the squares of cubics.
-POINTS = 4
+GAUSS_POINTS = 4
 
 Place = tuple[int, int]
 
@@ -41,11 +41,11 @@ def implicit_steps() -> StepSource:
     """What the implicit steps of native.c want of ``system.h``."""
     method = RODAS5P
     powers = np.arange(1.0, len(method.dense) + 1)
-    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
+    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     nodes, times = (1.0 + nodes) / 2.0, method.C.tolist()
     tables = (
         "#define IMPLICIT",
-        c_enum({"POINTS": POINTS}),
+        c_enum({"POINTS": GAUSS_POINTS}),
         f"static const double GAMMA = {method.gamma!r};",
         c_table("A", method.A),
         c_table("B", method.B),
@@ -98,7 +98,7 @@ def _linear_functions(flow: AugmentedFlow, function: FunctionWriter) -> list[str
             more=names,
         ),
         factorise,
-        solution(factors, timed),
+        solve_function(factors, timed),
     ]
 
 
@@ -198,7 +198,7 @@ def triangular_factors(size: int, places: Sequence[Place]) -> tuple[TriangularFa
     return TriangularFactors(tuple(order), below, beside, stored), text
 
 
-def solution(factors: TriangularFactors, timed: Sequence[int]) -> str:
+def solve_function(factors: TriangularFactors, timed: Sequence[int]) -> str:
     """The C function ``solve``.
 
     Parameters
@@ -207,13 +207,13 @@ def solution(factors: TriangularFactors, timed: Sequence[int]) -> str:
     timed : sequence of int
         Rows whose rate has a derivative by time, in the order in which these are stored.
     """
-    kept = factors.stored
+    name_of = factors.stored
     lines = [f"  f[{row}] += weight * d[{k}];" for k, row in enumerate(timed)]
     for i in factors.order:
-        lines += [f"  f[{row}] -= {kept[_entry(row, i)]} * f[{i}];" for row in factors.below[i]]
+        lines += [f"  f[{row}] -= {name_of[_entry(row, i)]} * f[{i}];" for row in factors.below[i]]
     for i in reversed(factors.order):
-        lines += [f"  f[{i}] -= {kept[_entry(i, j)]} * f[{j}];" for j in factors.beside[i]]
-        lines.append(f"  f[{i}] *= {kept[_inverse(i)]};")
+        lines += [f"  f[{i}] -= {name_of[_entry(i, j)]} * f[{j}];" for j in factors.beside[i]]
+        lines.append(f"  f[{i}] *= {name_of[_inverse(i)]};")
     head = "INLINE void solve(const V *m, const V *d, double weight, V *f) {\n"
     return head + "  (void)d, (void)weight;\n" + "\n".join(lines) + "\n}\n"
 

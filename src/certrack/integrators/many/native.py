@@ -52,7 +52,7 @@ VECTOR_MATH = (
 
 
 #: What the C files include, by their paths below ``integrators``.
-HEADERS = ("vector_math.h", "scalar_math.h", "many/explicit_step.h", "many/implicit_step.h")
+INCLUDED_FILES = ("vector_math.h", "scalar_math.h", "many/explicit_step.h", "many/implicit_step.h")
 
 
 def vector_compiler() -> str | None:
@@ -88,7 +88,7 @@ def packaged(name: str, system: str) -> str:
         return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
     source = text(name).replace('#include "system.h"\n', system)
-    for header in HEADERS:
+    for header in INCLUDED_FILES:
         source = source.replace(f'#include "{header.rpartition("/")[2]}"\n', text(header))
     return source
 

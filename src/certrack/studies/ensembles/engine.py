@@ -24,7 +24,7 @@ FEW_STEPS = 400
 #: Steps of order 8 that are bound by accuracy grow with the 8th root of the tolerance. Where one
 #: that is so much looser, but leaves the states two digits, needs more than this part of what that
 #: says, steps may be bound by stability.
-LOOSER, LOOSEST, STILL_AS_MANY = 1e4, 1e-2, 0.8
+LOOSENED, LOOSEST, STILL_AS_MANY = 1e4, 1e-2, 0.8
 
 #: An implicit step costs 0.7 to 1.4 explicit ones; it must save more.
 STEPS_PER_IMPLICIT = 1.7
@@ -175,7 +175,7 @@ def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
     steps, given_up = explicit.first_group(plan.tolerance)
     if steps < FEW_STEPS:
         return False
-    loose = max(min(LOOSER * plan.tolerance, LOOSEST), plan.tolerance)
+    loose = max(min(LOOSENED * plan.tolerance, LOOSEST), plan.tolerance)
     loose_steps, _ = explicit.first_group(loose)
     if steps * STILL_AS_MANY > loose_steps * (loose / plan.tolerance) ** (1 / DOP853.order):
         return False

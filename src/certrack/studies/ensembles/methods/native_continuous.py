@@ -52,8 +52,8 @@ class NativeContinuous(Method):
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]
         self._native = Native(self._flow, signals, numbers, implicit=implicit)
-        self._counted = counts_shape(len(signals), len(problem.times))
-        self._native.reserve(threads, self._counted)
+        self._table_shape = counts_shape(len(signals), len(problem.times))
+        self._native.reserve(threads, self._table_shape)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         results, part = self._integrate(begin, end, bands)
@@ -71,8 +71,8 @@ class NativeContinuous(Method):
 
     def first_group(self, tolerance: float) -> tuple[int, int]:
         """Steps that the first group of members takes, and how many of it are given up."""
-        nothing = np.zeros(self._counted, dtype=np.int32)
-        centre, unit = np.zeros(self._counted[1::-1]), np.ones(self._counted[1])
+        nothing = np.zeros(self._table_shape, dtype=np.int32)
+        centre, unit = np.zeros(self._table_shape[1::-1]), np.ones(self._table_shape[1])
         tally = BinCounts(slice(0, 0), BINS_PER_SIDE, BAND_BITS, nothing)
         results = self._groups(0, GROUP_SIZE, tally, centre, unit, tolerance, threads=1)
         return results.steps, int((results.outcomes == MemberOutcome.run_alone).sum())
