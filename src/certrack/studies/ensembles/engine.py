@@ -26,7 +26,7 @@ FEW_STEPS = 400
 #: says, steps may be bound by stability.
 LOOSENED, LOOSEST, STILL_AS_MANY = 1e4, 1e-2, 0.8
 
-#: An implicit step costs 0.7 to 1.4 explicit ones; it must save more.
+#: An implicit step costs 0.6 to 1.4 explicit ones; it must save more.
 STEPS_PER_IMPLICIT = 1.7
 
 #: Numbers of the outcomes.
