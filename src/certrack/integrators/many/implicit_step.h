@@ -22,15 +22,6 @@
  */
 static const double PER_ORDER = 0.2;
 
-INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
-  for (int j = 0; j < STATES; j++) x[j] = SPLAT(0.0);
-#pragma GCC unroll 16
-  for (int a = 0; a < i; a++)
-    if (A[i][a] != 0.0)
-      for (int j = 0; j < STATES; j++) x[j] += A[i][a] * k[a][j];
-  for (int j = 0; j < STATES; j++) x[j] = g->x[j] + h * x[j];
-}
-
 /* The end of a block's step, and the slope there by the dense output; returns the error estimate. */
 INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES], V *ends) {
   V squares = SPLAT(0.0);

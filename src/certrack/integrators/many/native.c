@@ -136,6 +136,16 @@ static void common_along(double t, double h, const double *s, double (*c)[COMMON
   }
 }
 
+/* Where the rates of a stage are evaluated. */
+INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
+  for (int j = 0; j < STATES; j++) x[j] = SPLAT(0.0);
+#pragma GCC unroll 16
+  for (int a = 0; a < i; a++)
+    if (A[i][a] != 0.0)
+      for (int j = 0; j < STATES; j++) x[j] += A[i][a] * k[a][j];
+  for (int j = 0; j < STATES; j++) x[j] = g->x[j] + h * x[j];
+}
+
 #ifdef IMPLICIT
 #include "implicit_step.h"
 #else
