@@ -143,6 +143,7 @@ ROWS = {
     "run of example1 at 1e-6": _run("example1", 1e-6, 0.10e-3),
     "10,000 members of example1": _members("example1", 10_000, 0.12),
     "1,024 members of dual-motor": _members("dual-motor", 1_024, 1_024 * 20e-6),
+    "1,024 members of dual-motor-strong": _members("dual-motor-strong", 1_024, 1_024 * 20e-6),
     "sampled run of dual-motor-drive": _run("dual-motor-drive", 1e-9, 5e-3),
 }
 

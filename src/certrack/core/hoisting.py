@@ -14,6 +14,7 @@ def hoisted(
     formulas: Sequence[sympy.Expr],
     common: Set[sympy.Symbol],
     known: Set[sympy.Symbol] = frozenset(),
+    prefix: str = "kept_shared",
 ) -> tuple[list[sympy.Expr], Hoisted]:
     """Replace every largest subexpression of common symbols alone by one symbol.
 
@@ -23,6 +24,8 @@ def hoisted(
     common : symbols
     known : symbols
         May be part of these subexpressions, too, but stay where they stand without a common one.
+    prefix : str
+        Of the names of the symbols, which must not be those in the formulas.
     """
     symbols: Hoisted = {}
 
@@ -31,7 +34,7 @@ def hoisted(
             return expr
         number, factor = expr.as_coeff_Mul()
         if factor not in symbols:
-            symbols[factor] = sympy.Symbol(f"kept_shared_{len(symbols)}", real=True)
+            symbols[factor] = sympy.Symbol(f"{prefix}_{len(symbols)}", real=True)
         return number * symbols[factor]
 
     return _replaced(formulas, common | known, name), symbols

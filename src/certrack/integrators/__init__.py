@@ -8,7 +8,8 @@
   grid are kept;
 * ``sampled`` - one run or many of a loop with a sampled controller, from event to event;
 * ``peaks`` - the largest |e_1| of many runs, each lane of a register with steps of its own;
-* ``pairs`` - the coefficients of the Runge-Kutta methods;
+* ``pairs``, ``rosenbrock`` - the coefficients of the Runge-Kutta methods, and of the linearly
+  implicit one for stiff systems;
 * ``registers`` - how many members fill a vector register; ``vector_math.h`` is the arithmetic of
   registers in the C files, ``scalar_math.h`` that of one run.
 """

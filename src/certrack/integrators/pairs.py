@@ -127,12 +127,13 @@ def heyoka_sum(h: Any, weights: Sequence[float] | np.ndarray, values: Sequence[A
     return h * hy.sum(terms) if terms else hy.expression(0.0)
 
 
-def _fixed(values: Sequence[float]) -> np.ndarray:
+def fixed_numbers(values: Sequence[float]) -> np.ndarray:
+    """Coefficients that nobody can change."""
     return _read_only(np.array(values, dtype=float))
 
 
-def _triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
-    """A square table from its rows left of the diagonal."""
+def lower_triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
+    """A square table that nobody can change, from its rows left of the diagonal."""
     table = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):
         table[i, :i] = row
@@ -156,7 +157,7 @@ def _read_only(table: np.ndarray) -> np.ndarray:
 DORMAND_PRINCE = Pair(
     "Dormand-Prince 5(4)",
     order=5,
-    A=_triangle(
+    A=lower_triangle(
         (
             (),
             (1 / 5,),
@@ -166,9 +167,11 @@ DORMAND_PRINCE = Pair(
             (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
         )
     ),
-    B=_fixed((35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)),
-    C=_fixed((0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1)),
-    errors=(_fixed((-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)),),
+    B=fixed_numbers((35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)),
+    C=fixed_numbers((0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1)),
+    errors=(
+        fixed_numbers((-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)),
+    ),
     error_orders=(4,),
 )
 
@@ -283,10 +286,10 @@ THIRD_ORDER_WEIGHT = 0.01
 DOP853 = Pair(
     "DOP853",
     order=8,
-    A=_triangle(_DOP853_A),
-    B=_fixed(_DOP853_B),
-    C=_fixed(_DOP853_C),
-    errors=(_fixed(_DOP853_E5), _fixed(_DOP853_E3)),
+    A=lower_triangle(_DOP853_A),
+    B=fixed_numbers(_DOP853_B),
+    C=fixed_numbers(_DOP853_C),
+    errors=(fixed_numbers(_DOP853_E5), fixed_numbers(_DOP853_E3)),
     error_orders=(5, 3),
     dense=_of_columns(_DOP853_DENSE, 13),
 )

@@ -11,6 +11,7 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.hoisting import Hoisted, hoisted, hoisted_numbers
+from certrack.core.lowering import jacobian
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,10 @@ class AugmentedFlow:
     surfaces : formulas
         Of all of them what stands for the sign, then the drifts, then the effects
         (:mod:`certrack.loops.switching`).
+    partials : formulas
+        Derivatives of the rates by every state, row by row; none before :meth:`linearised`.
+    by_time : formulas
+        Derivatives of the rates by time.
     """
 
     states: tuple[sympy.Symbol, ...]
@@ -59,6 +64,8 @@ class AugmentedFlow:
     held: tuple[int, ...] = ()
     surfaces: tuple[sympy.Expr, ...] = ()
     numbers: tuple[sympy.Symbol, ...] = ()
+    partials: tuple[sympy.Expr, ...] = ()
+    by_time: tuple[sympy.Expr, ...] = ()
 
     @property
     def rows(self) -> dict[str, slice]:
@@ -74,6 +81,14 @@ class AugmentedFlow:
         ends = np.cumsum(list(sizes.values())).tolist()
         begins = [0, *ends[:-1]]
         return {name: slice(a, b) for name, a, b in zip(sizes, begins, ends, strict=True)}
+
+    def linearised(self) -> AugmentedFlow:
+        """The flow with the derivatives of its rates; kinks have one-sided slopes."""
+        return replace(
+            self,
+            partials=tuple(jacobian(self.rates, self.states)),
+            by_time=tuple(jacobian(self.rates, [TIME])),
+        )
 
     def without_time(self) -> tuple[AugmentedFlow, Hoisted]:
         """The flow with every largest subexpression that all members share as one symbol."""
@@ -94,11 +109,13 @@ class AugmentedFlow:
             self.integrands,
             self.signals,
             self.surfaces,
+            self.partials,
+            self.by_time,
             [f for _, f in self.memories],
         )
         changed, symbols = hoist([f for kind in kinds for f in kind])
         formulas = iter(changed)
-        rates, integrands, signals, surfaces, updates = (
+        rates, integrands, signals, surfaces, partials, by_time, updates = (
             tuple(islice(formulas, len(kind))) for kind in kinds
         )
         names = (name for name, _ in self.memories)
@@ -110,6 +127,8 @@ class AugmentedFlow:
                 integrands=integrands,
                 signals=signals,
                 surfaces=surfaces,
+                partials=partials,
+                by_time=by_time,
                 memories=memories,
             ),
             symbols,

@@ -30,8 +30,8 @@
 /* The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
  * is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
  * error estimate says little about much longer or shorter steps; after a failure it is SAFETY of it
- * at most. The error grows with the 8th power of the step. */
-static const double SAFETY = 0.9, MIN_FACTOR = 0.2, MAX_FACTOR = 6.0, PER_ORDER = 0.125;
+ * at most. The error grows with the power 1/PER_ORDER of the step. */
+static const double SAFETY = 0.9, MIN_FACTOR = 0.2, MAX_FACTOR = 6.0;
 
 /* A step that leaves less than this part of itself to the end of a segment goes there. */
 static const double END_ROUNDING = 1e-12;
@@ -56,8 +56,8 @@ static const double RUSH = 1e-7;
 /* Members of a group, which share their steps. */
 enum { GROUP_SIZE = BLOCKS * LANES };
 
-/* Nodes of a step: the stages and its end. */
-enum { NODES = (STAGES + LANES) / LANES * LANES };
+/* Nodes of a step: the stages, its end, and what else its times are. */
+enum { TIMES = sizeof C / sizeof *C, NODES = (TIMES + LANES - 1) / LANES * LANES };
 
 /* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
  * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
@@ -129,13 +129,14 @@ static void common_at(double t, const double *s, double *c) {
 static void common_along(double t, double h, const double *s, double (*c)[COMMON + 1]) {
   for (int i = 0; i < NODES; i += LANES) {
     V when, values[COMMON + 1];
-    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l <= STAGES ? i + l : 0];
+    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l < TIMES ? i + l : 0];
     common(when, s, values);
     for (int j = 0; j < COMMON; j++)
       for (int l = 0; l < LANES; l++) c[i + l][j] = values[j][l];
   }
 }
 
+/* Where the rates of a stage are evaluated. */
 INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
   for (int j = 0; j < STATES; j++) x[j] = SPLAT(0.0);
 #pragma GCC unroll 16
@@ -145,57 +146,11 @@ INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
   for (int j = 0; j < STATES; j++) x[j] = g->x[j] + h * x[j];
 }
 
-/* The end of a block's step; returns the error estimate. */
-INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES], V *ends) {
-  V third = SPLAT(0.0), fifth = SPLAT(0.0);
-  for (int j = 0; j < STATES; j++) {
-    V sum = SPLAT(0.0), e3 = SPLAT(0.0), e5 = SPLAT(0.0);
-#pragma GCC unroll 16
-    for (int i = 0; i < STAGES; i++) {
-      if (B[i] != 0.0) sum += B[i] * k[i][j];
-      if (E3[i] != 0.0) e3 += E3[i] * k[i][j];
-      if (E5[i] != 0.0) e5 += E5[i] * k[i][j];
-    }
-    ends[j] = g->x[j] + h * sum;
-    V scale = rough_inverse(1.0 + v_max(v_abs(g->x[j]), v_abs(ends[j])));
-    e3 *= scale;
-    e5 *= scale;
-    third += e3 * e3;
-    fifth += e5 * e5;
-  }
-  return h / tolerance * fifth *
-         rough_inverse(v_sqrt((fifth + THIRD_ORDER_WEIGHT * third) * STATES + 1e-300));
-}
-
-/* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
- * largest error estimate of members that are alive. */
-OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
-  double h = s->h, (*c)[COMMON + 1] = s->c;
-  V x[STATES], r[INTEGRALS + 1], worst = SPLAT(0.0);
-  EACH_BLOCK(b) {
-    /* first same as last; memcpy would move half registers, which cannot be forwarded */
-    for (int j = 0; j < STATES; j++) s->k[b][0][j] = g->block[b].k[j];
-    for (int j = 0; j < INTEGRALS; j++) s->q[b][j] = B[0] * g->block[b].r[j];
-  }
-#pragma GCC unroll 16
-  for (int i = 1; i < STAGES; i++)
-    EACH_BLOCK(b) {
-      stage(&g->block[b], h, i, s->k[b], x);
-      rates(g->s, c[i], x, g->block[b].p, s->k[b][i], r);
-      for (int j = 0; j < INTEGRALS && B[i] != 0.0; j++) s->q[b][j] += B[i] * r[j];
-    }
-  EACH_BLOCK(b) {
-    const Block *block = &g->block[b];
-    V error = end_of_step(block, h, tolerance, s->k[b], s->ends[b]);
-    error = choose(error == error, error, SPLAT(INFINITY));
-    worst = v_max(worst, choose(block->alive, error, SPLAT(0.0)));
-    for (int j = 0; j < INTEGRALS; j++) s->q[b][j] *= h;
-    rates(g->s, c[STAGES], s->ends[b], block->p, s->k[b][STAGES], s->r[b]);
-  }
-  double largest = 0.0;
-  for (int l = 0; l < LANES; l++) largest = worst[l] > largest ? worst[l] : largest;
-  return largest;
-}
+#ifdef IMPLICIT
+#include "implicit_step.h"
+#else
+#include "explicit_step.h"
+#endif
 
 /* Weights of the slopes in the rise of the states until begin + theta h, and in the rate there. */
 static void dense_weights(double theta, double h, double *value, double *slope) {

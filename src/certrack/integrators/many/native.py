@@ -28,6 +28,7 @@ from certrack.core.lowering import NumpyFunction, numpy_callable
 from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.integrators.many.implicit_source import implicit_steps
 from certrack.integrators.many.native_source import system_header
 
 VECTOR_FLAGS = (
@@ -39,6 +40,7 @@ WIDE = ["-mprefer-vector-width=512"]
 #: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed.
 #: At the end of a run the error of the states then stays below the tolerance (a test measures it);
 #: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
+#: The estimate of implicit steps is taken as it is.
 ESTIMATE_EXCESS = 10.0
 
 #: Vector functions of the C library, from the most to none: older ones lack some or all.
@@ -47,6 +49,10 @@ VECTOR_MATH = (
     ["-DVECTOR_MATH", "-lmvec", "-lm"],
     ["-lm"],
 )
+
+
+#: What the C files include, by their paths below ``integrators``.
+INCLUDED_FILES = ("vector_math.h", "scalar_math.h", "many/explicit_step.h", "many/implicit_step.h")
 
 
 def vector_compiler() -> str | None:
@@ -82,8 +88,8 @@ def packaged(name: str, system: str) -> str:
         return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
     source = text(name).replace('#include "system.h"\n', system)
-    for header in ("vector_math.h", "scalar_math.h"):
-        source = source.replace(f'#include "{header}"\n', text(header))
+    for header in INCLUDED_FILES:
+        source = source.replace(f'#include "{header.rpartition("/")[2]}"\n', text(header))
     return source
 
 
@@ -240,10 +246,15 @@ class NativeResult:
 
 
 @remembered
-def _flow_form(flow: AugmentedFlow, shown: tuple[sympy.Expr, ...]) -> tuple[str, NumpyFunction]:
+def _flow_form(
+    flow: AugmentedFlow, shown: tuple[sympy.Expr, ...], implicit: bool
+) -> tuple[str, NumpyFunction]:
     """The generated part of native.c, and the numbers that it wants, from those of the flow."""
     fewest, numbers = flow.with_fewest_numbers()
-    return system_header(fewest, shown), numpy_callable([flow.numbers], list(numbers))
+    evaluate = numpy_callable([flow.numbers], list(numbers))
+    if not implicit:
+        return system_header(fewest, shown), evaluate
+    return system_header(fewest.linearised(), shown, implicit_steps()), evaluate
 
 
 def numbers_of(evaluate: NumpyFunction, values: Sequence[float]) -> np.ndarray:
@@ -262,6 +273,8 @@ class Native:
         Formulas of the states and of the signals' symbols at the end of a step.
     numbers : (K,) array
         Values of the flow's numbers.
+    implicit : bool
+        Whether steps are linearly implicit, for a stiff system, and not explicit.
 
     Raises
     ------
@@ -270,10 +283,16 @@ class Native:
     """
 
     def __init__(
-        self, flow: AugmentedFlow, shown: Sequence[sympy.Expr], numbers: Sequence[float] = ()
+        self,
+        flow: AugmentedFlow,
+        shown: Sequence[sympy.Expr],
+        numbers: Sequence[float] = (),
+        *,
+        implicit: bool = False,
     ) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        header, evaluate = _flow_form(flow, tuple(shown))
+        header, evaluate = _flow_form(flow, tuple(shown), implicit)
+        self._excess = 1.0 if implicit else ESTIMATE_EXCESS
         self._library = compiled_library("many/native.c", header)
         self._numbers = numbers_of(evaluate, numbers)
         self._spare_counts: list[np.ndarray] = []
@@ -325,7 +344,7 @@ class Native:
                 *pointers[2:4],
                 len(grid.times),
                 *pointers[4:],
-                ESTIMATE_EXCESS * control.tolerance,
+                self._excess * control.tolerance,
                 control.max_state,
                 control.max_steps,
                 tally.part.start,

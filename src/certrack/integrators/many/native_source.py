@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -118,7 +120,36 @@ def _power(base: str, exponent: int) -> str:
     return "(" + "*".join([base] * exponent) + ")"
 
 
-def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
+#: Writes a C function of the system: its name, its arguments, what it assigns to each of them, and
+#: the names of further symbols.
+FunctionWriter = Callable[..., str]
+
+
+@dataclass(frozen=True)
+class StepSource:
+    """What the steps of native.c want of ``system.h`` besides the system.
+
+    Attributes
+    ----------
+    stages : int
+    tables : tuple of str
+        The coefficients of the method, as C.
+    dense : (d, s+1) array
+        Coefficients of its dense output, as those of :class:`~certrack.integrators.pairs.Pair`.
+    functions : callable, optional
+        Gets the flow, in which what depends on time alone is one symbol each, and a
+        :data:`FunctionWriter`; returns further parts of the header.
+    """
+
+    stages: int
+    tables: tuple[str, ...]
+    dense: np.ndarray
+    functions: Callable[[AugmentedFlow, FunctionWriter], list[str]] | None = None
+
+
+def system_header(
+    flow: AugmentedFlow, shown: Sequence[sympy.Expr], steps: StepSource | None = None
+) -> str:
     """The generated part of native.c: sizes, tables of the method, and functions of the system.
 
     Parameters
@@ -126,7 +157,11 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
     flow : AugmentedFlow
     shown : formulas
         Formulas of the states and of the signals' symbols at the end of a step.
+    steps : StepSource, optional
+        By default explicit ones.
     """
+    steps = steps or _explicit_steps()
+    dense = np.pad(steps.dense, ((0, 0), (0, -steps.dense.shape[1] % 8)))  # whole vectors
     timeless, common = flow.without_time()
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}
     for letter, symbols in (
@@ -151,22 +186,28 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
         "SIGNALS": len(flow.signals),
         "MEMORIES": len(flow.memories),
         "SHOWN": len(shown),
-        "STAGES": DOP853.stages,
-        "TERMS": len(_dense_rows()),
+        "STAGES": steps.stages,
+        "TERMS": len(dense),
         "SURFACES": len(flow.held),
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
-    def function(name: str, arguments: str, *results: tuple[str, Sequence[sympy.Expr]]) -> str:
+    def function(
+        name: str,
+        arguments: str,
+        *results: tuple[str, Sequence[sympy.Expr]],
+        more: Mapping[sympy.Symbol, str] = MappingProxyType({}),
+    ) -> str:
         targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
-        return c_function(name, arguments, targets, names)
+        return c_function(name, arguments, targets, {**names, **more})
 
     memories = [formula for _, formula in timeless.memories]
     parts = [
         c_enum(sizes),
         c_enum(OUTCOME_NAMES),
         f"static const double ESCAPING = {ESCAPING!r};",
-        *_tables(),
+        *steps.tables,
+        c_table("DENSE", dense),
         function("common", "V t, const double *s, V *out", ("out", list(common))),
         function(
             "rates",
@@ -193,6 +234,8 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
         ),
         function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
     ]
+    if steps.functions is not None:
+        parts += steps.functions(timeless, function)
     return with_elementary(parts)
 
 
@@ -209,25 +252,20 @@ def with_elementary(parts: Sequence[str]) -> str:
     return "".join(f"{macro}({name})\n" for name, macro in macros.items()) + text
 
 
-def _tables() -> list[str]:
-    """Coefficients of the method and of its dense output."""
+def _explicit_steps() -> StepSource:
+    """Coefficients of DOP853 and of its dense output."""
     fifth, third = DOP853.errors
     assert fifth[-1] == third[-1] == 0  # the error estimate does not need the slope at the end
-    return [
+    assert DOP853.dense is not None
+    tables = (
         c_table("A", DOP853.A),
         c_table("B", DOP853.B),
         c_table("C", np.append(DOP853.C, 1.0)),
         c_table("E3", third),
         c_table("E5", fifth),
         f"static const double THIRD_ORDER_WEIGHT = {THIRD_ORDER_WEIGHT!r};",
-        c_table("DENSE", _dense_rows()),
-    ]
-
-
-def _dense_rows() -> np.ndarray:
-    """Coefficients of the dense output; rows are filled up to whole vectors."""
-    assert DOP853.dense is not None
-    return np.pad(DOP853.dense, ((0, 0), (0, -DOP853.dense.shape[1] % 8)))
+    )
+    return StepSource(DOP853.stages, tables, DOP853.dense)
 
 
 def c_enum(values: Mapping[str, int]) -> str:

@@ -10,11 +10,24 @@ import numpy as np
 
 from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable, Outcome
+from certrack.integrators.pairs import DOP853
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.methods.choice import create_method
+from certrack.studies.ensembles.methods.native_continuous import NativeContinuous
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, signals_of
 from certrack.studies.ensembles.problem import EnsembleProblem, is_clearly_after
 from certrack.studies.ensembles.statistics import Bands, Statistics
+
+#: A group with fewer steps is fast enough, stiff or not.
+FEW_STEPS = 400
+
+#: Steps of order 8 that are bound by accuracy grow with the 8th root of the tolerance. Where one
+#: that is so much looser, but leaves the states two digits, needs more than this part of what that
+#: says, steps may be bound by stability.
+LOOSENED, LOOSEST, STILL_AS_MANY = 1e4, 1e-2, 0.8
+
+#: An implicit step costs 0.6 to 1.4 explicit ones; it must save more.
+STEPS_PER_IMPLICIT = 1.7
 
 #: Numbers of the outcomes.
 OUTCOME_CODES = {outcome: code for code, outcome in enumerate(Outcome)}
@@ -131,13 +144,48 @@ class Engine:
 
 
 def fastest(plan: Plan, threads: int) -> Engine:
-    """The plan by the first method that this machine has, whatever the plan's is."""
+    """The plan by the first method that this machine has, whatever the plan's is.
+
+    Implicit steps take the place of explicit ones where the loop is stiff (:func:`is_stiff`).
+    """
     for name in METHODS:
+        if name == "implicit":
+            continue
+        chosen = replace(plan, method=name)
         try:
-            return Engine(replace(plan, method=name), threads)
+            if name == "native" and is_stiff(chosen, chosen.registered):
+                chosen = replace(plan, method="implicit")
+            return Engine(chosen, threads)
         except MethodUnavailable:
             continue
     raise AssertionError("members can always be run alone")
+
+
+@remembered
+def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
+    """Whether implicit steps are so much fewer than explicit ones that they cost less.
+
+    What counts are the steps that the first group of members takes. Where the explicit steps are
+    bound by accuracy, fewer do at a looser tolerance, and nothing else has to be compiled.
+    """
+    if plan.system.implementation is not None:
+        return False
+    explicit = Engine(plan).method
+    assert isinstance(explicit, NativeContinuous)
+    steps, given_up = explicit.first_group(plan.tolerance)
+    if steps < FEW_STEPS:
+        return False
+    loose = max(min(LOOSENED * plan.tolerance, LOOSEST), plan.tolerance)
+    loose_steps, _ = explicit.first_group(loose)
+    if steps * STILL_AS_MANY > loose_steps * (loose / plan.tolerance) ** (1 / DOP853.order):
+        return False
+    try:
+        implicit = Engine(replace(plan, method="implicit")).method
+    except MethodUnavailable:
+        return False
+    assert isinstance(implicit, NativeContinuous)
+    fewer, lost = implicit.first_group(plan.tolerance)
+    return lost <= given_up and STEPS_PER_IMPLICIT * fewer < steps
 
 
 @remembered

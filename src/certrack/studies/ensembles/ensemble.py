@@ -342,9 +342,11 @@ def ensemble(
         the certificate.
     threads : int, optional
         By default one per core.
-    method : {"native", "lockstep", "alone"}, optional
-        Compiled C; heyoka's compiled maps; or each member by itself as in :func:`simulate`. By
-        default the first that this machine has. All agree within the tolerance.
+    method : {"native", "implicit", "lockstep", "alone"}, optional
+        Compiled C, with explicit or with linearly implicit steps; heyoka's compiled maps; or each
+        member by itself as in :func:`simulate`. By default the first that this machine has, with
+        implicit steps where the loop is so stiff that they are fewer than half as many. All agree
+        within the tolerance.
     chunk : int, optional
         Members computed at a time; by default 16,384, on a cluster up to four times as many, where
         every worker still gets several chunks.

@@ -22,7 +22,7 @@ from certrack.systems.writer import to_text
 #: The metrics of a member, as those of a single run.
 METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("band", "tail_start"))
 
-METHODS = ("native", "lockstep", "alone")
+METHODS = ("native", "implicit", "lockstep", "alone")
 
 #: Raised by every change after which a member has other numbers or is counted otherwise. Folders of
 #: finished chunks record it, so that none is filled by two revisions.
@@ -46,8 +46,9 @@ class Plan:
         e_1, the states of the design and u of the nominal run on the time grid.
     scale : (R,) array
         Their magnitudes, powers of two.
-    method : {"native", "lockstep", "alone"}
-        Compiled C; heyoka's compiled maps; or each member by itself, by the ordinary simulation.
+    method : {"native", "implicit", "lockstep", "alone"}
+        Compiled C, with explicit or with linearly implicit steps; heyoka's compiled maps; or each
+        member by itself, by the ordinary simulation.
     per_member : bool
         Whether the metrics of every member are kept.
     """

@@ -15,7 +15,7 @@ import numpy as np
 
 from certrack.core.errors import InputError, MissingExtra
 from certrack.studies.ensembles.engine import Engine, compute_chunk
-from certrack.studies.ensembles.plan import METHODS, Plan, Range
+from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
 
 #: Members, their statistics as arrays (None: already in the total), and the seconds spent on them
@@ -25,7 +25,10 @@ ChunkResult = tuple[Range, dict[str, np.ndarray] | None, float]
 #: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
 CHUNK_MEMBERS = 16_384
 
-#: Members per chunk on a cluster, at most, where they are computed by compiled C: a larger one
+#: Methods whose members take microseconds.
+COMPILED = ("native", "implicit")
+
+#: Members per chunk on a cluster, at most, where they are computed by one of these: a larger one
 #: spends less on sending and merging. Each worker still gets so many chunks.
 CLUSTER_CHUNK_MEMBERS, CHUNKS_FOR_EACH = 4 * CHUNK_MEMBERS, 4
 
@@ -41,7 +44,7 @@ def cores() -> int:
 
 def chunk_members(plan: Plan, members: int, client: Any) -> int:
     """Members per chunk, in this process or on the cluster of `client`."""
-    if client is None or plan.method != METHODS[0]:
+    if client is None or plan.method not in COMPILED:
         return CHUNK_MEMBERS
     each = members // (CHUNKS_FOR_EACH * max(1, len(client.scheduler_info()["workers"])))
     whole = each // CHUNK_MEMBERS * CHUNK_MEMBERS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from certrack.integrators.base import MethodUnavailable
 from certrack.laws.baselines.mpc import planned_limits, require_formula
@@ -17,6 +18,7 @@ from certrack.studies.ensembles.problem import EnsembleProblem
 
 CONTINUOUS: dict[str, Callable[[EnsembleProblem, int], Method]] = {
     "native": NativeContinuous,
+    "implicit": partial(NativeContinuous, implicit=True),
     "lockstep": LockstepContinuous,
 }
 
@@ -39,6 +41,10 @@ def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
     system = problem.system
     if planned_limits(system.law, system.implementation) is not None:
         raise MethodUnavailable("the mpc law plans its input sample by sample")
+    if name == "implicit" and system.implementation is not None:
+        raise MethodUnavailable(
+            "a sampled loop has no implicit steps: its plant moves sample by sample"
+        )
     if system.implementation is None:
         return CONTINUOUS[name](problem, threads)
     return SAMPLED[name](problem, threads, adjustable=False)

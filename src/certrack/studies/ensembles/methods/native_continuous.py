@@ -32,6 +32,8 @@ class NativeContinuous(Method):
     ----------
     problem : EnsembleProblem
     threads : int
+    implicit : bool
+        Whether steps are linearly implicit, for a stiff loop, and not explicit.
 
     Raises
     ------
@@ -39,7 +41,7 @@ class NativeContinuous(Method):
         If no compiler can do it.
     """
 
-    def __init__(self, problem: EnsembleProblem, threads: int) -> None:
+    def __init__(self, problem: EnsembleProblem, threads: int, *, implicit: bool = False) -> None:
         self._problem, self._threads = problem, threads
         self._modes = modes_of(problem.members.loop, side_by_side=True)
         members = problem.members
@@ -49,8 +51,9 @@ class NativeContinuous(Method):
         self._segments = problem.segments(switches, values)
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]
-        self._native = Native(self._flow, signals, numbers)
-        self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
+        self._native = Native(self._flow, signals, numbers, implicit=implicit)
+        self._table_shape = counts_shape(len(signals), len(problem.times))
+        self._native.reserve(threads, self._table_shape)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         results, part = self._integrate(begin, end, bands)
@@ -66,21 +69,44 @@ class NativeContinuous(Method):
         states: np.ndarray = results.finals[: self._flow.watched, part]
         return np.where(results.ends[part] < self._problem.end, np.nan, states)
 
+    def first_group(self, tolerance: float) -> tuple[int, int]:
+        """Steps that the first group of members takes, and how many of it are given up."""
+        nothing = np.zeros(self._table_shape, dtype=np.int32)
+        centre, unit = np.zeros(self._table_shape[1::-1]), np.ones(self._table_shape[1])
+        tally = BinCounts(slice(0, 0), BINS_PER_SIDE, BAND_BITS, nothing)
+        results = self._groups(0, GROUP_SIZE, tally, centre, unit, tolerance, threads=1)
+        return results.steps, int((results.outcomes == MemberOutcome.run_alone).sum())
+
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
+        first, last = begin - begin % GROUP_SIZE, -(-end // GROUP_SIZE) * GROUP_SIZE
+        part = slice(begin - first, end - first)
+        tally = BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts)
+        tolerance, threads = self._problem.tolerance, self._threads
+        centre, unit = bands.centre, bands.unit
+        return self._groups(first, last, tally, centre, unit, tolerance, threads=threads), part
+
+    def _groups(
+        self,
+        first: int,
+        last: int,
+        tally: BinCounts,
+        centre: np.ndarray,
+        unit: np.ndarray,
+        tolerance: float,
+        *,
+        threads: int,
+    ) -> NativeResult:
+        """The members first ... last-1, which are whole groups."""
         problem, segments = self._problem, self._segments
-        first = begin - begin % GROUP_SIZE
-        starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
+        starts, table = problem.starts_and_parameters(first, last)
         modes = np.repeat(np.array(self._modes)[:, None], starts.shape[1], axis=1)
         names = self._flow.parameters[: len(self._flow.parameters) - len(modes)]
-        parameters = np.vstack([[table[name] for name in names], modes])
-        part = slice(begin - first, end - first)
-        results = self._native.integrate(
+        return self._native.integrate(
             starts,
-            parameters,
-            SharedGrid(segments.edges, segments.shared, problem.times, bands.centre, bands.unit),
-            StepControl(problem.tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
-            BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts),
-            self._threads,
+            np.vstack([[table[name] for name in names], modes]),
+            SharedGrid(segments.edges, segments.shared, problem.times, centre, unit),
+            StepControl(tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
+            tally,
+            threads,
         )
-        return results, part
