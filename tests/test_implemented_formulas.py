@@ -17,7 +17,9 @@ from certrack.certificates.implemented.gains import (
     gains_of,
     kernel_columns,
     largest_of_each,
+    mean_magnitude,
     output_gains,
+    running_period,
     tail_gains,
     upper_number,
 )
@@ -191,6 +193,47 @@ def test_of_the_running_period_only_what_has_passed_is_seen():
         period = exact_period([1, 1, 1, 1], (1, 3))
         assert [len(kernel_columns(period, p, False).lengths) for p in range(4)] == [0, 1, 2, 3]
         assert kernel_columns(period, 0, False).nodes.ncols() == 2
+
+
+@pytest.mark.parametrize("q", [0, 2])
+def test_of_the_running_period_the_sample_is_an_input_by_itself(q):
+    """What moved since is not spread over the period; noise, sample and step count as they are."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, *range(2, q + 3)], (1, 2), n=2)
+        n, nw = period.drive.n, period.drive.W.ncols()
+        nothing = InCell((), flint.arb(0), (), flint.arb(0))
+        rng = np.random.default_rng(q)
+        rows = [
+            Row(0, phase, tuple(map(int, rng.integers(1, 9, period.size))), (), 0, nothing)
+            for phase in (1, 0, 1)
+        ]
+        table, before = running_period(period, rows)
+        assert table.shape == (3, nw + 1 + n + 3) and before.nrows() == 3
+        for i, row in enumerate(rows):
+            over = period.since_jump(row.phase)
+            line = flint.arb_mat([list(row.row)])
+
+            def seen(matrix, line=line):
+                return np.array([[float(v.mid()) for v in r] for r in (line * matrix).tolist()])[0]
+
+            ends = [
+                seen(-(matrix * (period.Pi[p] * gamma(q, flint.fmpq(0)))))[0]
+                for matrix, p in zip(over, range(row.phase, -1, -1), strict=True)
+            ]
+            lengths = [float(period.cells[p].length) for p in range(row.phase - 1, -1, -1)]
+            pairs = zip(ends[:-1], ends[1:], lengths, strict=True)
+            moved = sum(h * float(mean_magnitude(np.array(a), np.array(b))) for a, b, h in pairs)
+            for h, matrix, p in zip(lengths, over, range(row.phase, 0, -1), strict=False):
+                for j in range(q - 1):
+                    weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
+                    moved += weight * abs(seen(matrix * column(period.Pi[p], j))[0])
+            noise = np.abs(seen(over[-1] * period.noise))
+            (last,) = np.abs(seen(over[-1] * column(period.reference, q + 1)))
+            (step,) = np.abs(seen(over[-1] * period.step))
+            expected = np.array([moved, *noise, 0.0, step, last])
+            assert last > 0
+            assert table[i, nw:] == pytest.approx(expected, rel=1e-12)
+            assert (table[i, nw:] >= expected * (1 - 1e-15)).all()
 
 
 @pytest.mark.parametrize("n", [1, 2])

@@ -20,7 +20,6 @@ from certrack.certificates.ranges.kernels import (
     PRECISION,
     SMALL,
     UNDERFLOW,
-    UNIT,
     _block,
     _doublings,
     _roots,
@@ -32,6 +31,8 @@ from certrack.certificates.ranges.kernels import (
     rounded,
 )
 from certrack.certificates.ranges.peak import _responses
+
+UNIT = np.finfo(float).eps / 2  # what a float loses at most, not what the module takes it for
 
 
 def exact(rows):
@@ -97,6 +98,7 @@ def test_products_and_what_their_roundings_are_below():
 
 
 def test_balls_become_floats_if_they_are_narrow():
+    assert UNIT == kernels.UNIT  # as 1 + UNIT is 1 and 1 + 2 UNIT is not
     with flint.ctx.workprec(PRECISION):
         third = flint.arb(1) / 3
         found = rounded(flint.arb_mat([[third, 0, flint.arb(0, 1e-41)]]))
