@@ -30,7 +30,7 @@ from certrack.certificates.ranges.kernels import (
     proven_decay,
     rounded,
 )
-from certrack.certificates.ranges.peak import _responses
+from certrack.certificates.ranges.peak import TOO_MUCH_GAIN, UNBOUNDED, _bound, _responses
 
 UNIT = np.finfo(float).eps / 2  # what a float loses at most, not what the module takes it for
 
@@ -231,3 +231,20 @@ def test_what_a_block_of_cells_is_told(monkeypatch, rate):
         assert curvature == pytest.approx(bend, rel=1e-9, abs=0)
         t += h * CELLS
     assert len(told) > 1 and 2 * math.exp(-rate * t) / rate < 1e-8
+
+
+def test_a_fixed_point_is_above_that_of_the_loop_and_near():
+    """v = c + G v; the first entry, the error, acts on no other, whatever it is."""
+    constant = np.array([2.0, 1.0, 3.0])
+    assert 2.0 < _bound(lambda v: constant[:1], 1) <= 2.0 * (1 + 1e-11)
+    for gain in (0.0, 0.1, 0.9):
+        G = np.array([[0.0, 7.0, 5.0], [0.0, gain, 0.2], [0.0, 0.1, 0.2]])
+        known = np.linalg.solve(np.eye(3) - G, constant)[0]
+        if gain == 0.9:
+            with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+                _bound(lambda v, G=2 * G: np.minimum(constant + G @ v, UNBOUNDED), 3)
+        assert known < _bound(lambda v, G=G: constant + G @ v, 3) <= known * (1 + 1e-7)
+    assert _bound(lambda v: 0.5 * v, 3) < 1e-250  # where nothing acts
+    for high in (UNBOUNDED, 2 * UNBOUNDED):
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, high=high: np.array([high, 1.0]), 2)

@@ -19,6 +19,7 @@ import certrack
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.ranges import strength
 from certrack.certificates.ranges.boxes import (
     closed,
     forbidden,
@@ -30,7 +31,7 @@ from certrack.certificates.ranges.boxes import (
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.coefficients import Coefficients, _parts, largest_brackets
 from certrack.certificates.ranges.costs import costs
-from certrack.certificates.ranges.edges import _decimal
+from certrack.certificates.ranges.edges import Edge, _decimal, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
@@ -583,6 +584,49 @@ def test_texts_of_cells_are_fractions():
 # how far ranges may grow
 
 
+def searched(limit, **options):
+    """The edge of what holds up to a limit, and the scales that were tried."""
+    tried = []
+
+    def find(scale):
+        tried.append(float(scale))
+        return "beyond" if tried[-1] > limit else tried[-1]
+
+    return largest_scale(find, **options), tried
+
+
+@pytest.mark.parametrize("limit", [1e-5, 0.0625, 0.1, 0.9, 1.0, 1.7, 150.0, 3e6])
+@pytest.mark.parametrize("known", [None, 1.0])
+def test_the_edge_of_what_holds_is_below_it_and_near(limit, known):
+    edge, tried = searched(limit, known=known if limit >= 1 else None)
+    assert limit / 1.0011 <= float(edge.scale) <= limit and not edge.unlimited
+    assert edge.result == float(edge.scale) and edge.reason == "beyond"
+    assert (1.0 in tried) == (known is None or limit < 1)
+    assert all(len(f"{scale:.12f}".strip("0.").replace(".", "")) <= 5 for scale in tried)
+    coarse, fewer = searched(limit, known=known if limit >= 1 else None, accuracy=0.2)
+    assert limit / 1.21 <= float(coarse.scale) <= limit and len(fewer) < len(tried)
+
+
+def test_scales_fall_faster_and_faster_until_one_holds():
+    assert searched(0.1)[1][:3] == [1.0, 0.25, 0.0625]
+    assert searched(0.01, fall=1.5)[1][:5] == [1.0, 0.66666, 0.29629, 0.074074, 0.018518]
+    assert searched(0.5, fall=1.002, begin=0.8)[1][:4] == [0.8, 0.7984, 0.79521, 0.78888]
+    edge, tried = searched(0.0)
+    assert edge == Edge("0", None, "beyond") and tried == [
+        pytest.approx(0.25**k, rel=1e-4) for k in range(10)
+    ]
+
+
+def test_scales_rise_until_nothing_holds_or_nobody_asks_for_more():
+    edge, tried = searched(math.inf)
+    assert edge == Edge("1000000000", 1e9, "", unlimited=True)
+    assert tried == [1, 2, 4, 8, 16, 32, 64, 128, 1e9]
+    edge, tried = searched(math.inf, known=3.0, begin=3.0)
+    assert edge.unlimited and edge.result == 1e9
+    assert tried == [6, 12, 24, 48, 96, 192, 384, 1e9]
+    assert searched(math.inf, begin=2e9)[0].unlimited
+
+
 class Holding:
     """A prover of FIRST_ORDER whose cells hold up to a width."""
 
@@ -629,6 +673,16 @@ def test_a_search_is_limited_by_stability_and_by_cells():
     assert len(parts) == 2 and cells_fill(parts, scaled(cut._prover.loop, exact(2)))
     with pytest.raises(NoCertificate, match=NO_PROOF):
         _Search(Holding(1e-9), cells=True).parts(Holding(1e-9).holds, exact(1))
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_a_search_has_so_many_cells_at_most(monkeypatch, count):
+    monkeypatch.setattr(strength, "PROVABLE_CELLS", count)
+    prover = Holding(1.0 / count)
+    assert len(_Search(prover, cells=True).parts(prover.holds, exact(1))) == count
+    monkeypatch.setattr(strength, "PROVABLE_CELLS", count - 1)
+    with pytest.raises(NoCertificate, match=NO_PROOF):
+        _Search(prover, cells=True).parts(prover.holds, exact(1))
 
 
 def test_forms_at_two_points_of_a_range():
