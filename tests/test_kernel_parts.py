@@ -237,13 +237,14 @@ def test_a_fixed_point_is_above_that_of_the_loop_and_near():
     """v = c + G v; the first entry, the error, acts on no other, whatever it is."""
     constant = np.array([2.0, 1.0, 3.0])
     assert 2.0 < _bound(lambda v: constant[:1], 1) <= 2.0 * (1 + 1e-11)
-    for gain in (0.0, 0.1, 0.9):
-        G = np.array([[0.0, 7.0, 5.0], [0.0, gain, 0.2], [0.0, 0.1, 0.2]])
+    for gain in (0.0, 0.1, 0.9, 0.95):
+        G = np.array([[0.0, 7.0, 5.0], [0.0, gain, 0.2], [0.0, 0.0, gain]])
         known = np.linalg.solve(np.eye(3) - G, constant)[0]
-        if gain == 0.9:
-            with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
-                _bound(lambda v, G=2 * G: np.minimum(constant + G @ v, UNBOUNDED), 3)
         assert known < _bound(lambda v, G=G: constant + G @ v, 3) <= known * (1 + 1e-7)
+    assert 50 < _bound(lambda v: 1 + 0.98 * v, 2) <= 50 * (1 + 1e-7)
+    for gain in (1.0, 1.5):
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, gain=gain: np.minimum(1 + gain * v, UNBOUNDED), 2)
     assert _bound(lambda v: 0.5 * v, 3) < 1e-250  # where nothing acts
     for high in (UNBOUNDED, 2 * UNBOUNDED):
         with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
