@@ -19,7 +19,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import premises as implemented_premises
 from certrack.certificates.implemented.certify import limits_met
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, linear_drift
-from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
     gains_table,
     largest_of_each,
@@ -45,6 +45,7 @@ from certrack.certificates.implemented.start_set import (
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN
 from certrack.references import SoftStart
 
+ROUNDOFF = np.finfo(float).eps / 2  # not what the module takes it for
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
 
 
@@ -73,6 +74,7 @@ def test_the_middle_and_the_radius_of_a_ball_are_enclosed(value):
         assert high - low <= Fraction(3, 10**20) + abs(exact) * Fraction(2) ** -48
         assert largest <= Fraction(float(found.upper[0, 0])) <= largest * 2 + Fraction(1, 10**100)
         assert up(ball) == found.upper[0, 0]
+        assert found.error[0, 0] > float(ball.rad())
 
 
 def exact_product(p, q):
