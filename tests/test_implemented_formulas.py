@@ -7,12 +7,14 @@ from fractions import Fraction
 import flint
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented.drive import DRIVE_BITS
+from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     gains_of,
     kernel_columns,
@@ -34,6 +36,13 @@ from certrack.certificates.implemented.start import (
     first_state,
     is_above,
     up,
+)
+from certrack.certificates.implemented.timing import (
+    TimedBounds,
+    _crosses,
+    _in_cell_pulse,
+    pulse_gains,
+    rate_rows,
 )
 from certrack.core.ball_matrices import column
 from certrack.core.expressions import parse, symbol
@@ -406,3 +415,113 @@ def test_polynomials_move_by_their_shift():
     ]
     assert [float(v) for v in moved.entries()] == pytest.approx([float(v) for v in expected])
     assert [float(v) for v in gamma(q, t).entries()] == pytest.approx([1 / 48, 1 / 8, 1 / 2, 1])
+
+
+# Jitter -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_pulse_counts_with_its_largest_effect_in_every_period(n, cells):
+    """|lambda(s) b| at the cells' ends, and h^2/8 |lambda| e^{|A| h} |A^2 b| for what lies between.
+
+    The loop without feedback: lambda is that of x' = A x. The period that runs counts, too.
+    """
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, cells), n=n)
+        rows = output_rows(period)
+        found = pulse_gains(period, rows, 8)
+    A, b = np.array([[-1.0]]), np.array([1.0])
+    if n == 2:
+        A, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0])
+    h = 0.1 / cells
+    inner = expm(np.abs(A) * h) @ np.abs(A @ A @ b) * h**2 / 8
+    bend = np.max([np.abs(expm(A * h * k)) @ inner for k in range(cells)], axis=0)
+
+    def largest(line, ends):
+        nodes = [abs(line @ expm(A * h * k) @ b) for k in range(ends + 1)]
+        return max(nodes) + np.abs(line) @ bend
+
+    for row, value in zip(rows, found, strict=True):
+        line = np.array([float(v) for v in row.row[:n]])
+        old = line @ expm(A * h * row.phase)
+        expected = largest(line, row.phase) if row.phase else 0.0
+        for k in range(300):
+            expected += largest(old @ expm(A * 0.1 * k), cells)
+        small = [np.abs(expm(A * h * k)) @ inner for k in range(row.phase)]
+        if row.phase:  # of the cells that have passed only
+            expected += np.abs(line) @ (np.max(small, axis=0) - bend)
+        assert value >= expected * (1 - 1e-12) and value == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_a_pulse_does_within_a_cell():
+    """Of every state, and of its rate."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, 2), n=2)
+        still, moving = _in_cell_pulse(period, flint.fmpq(1, 20))
+    A, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0])
+    growth = expm(np.abs(A) / 20)
+    assert [float(v) for v in still] == pytest.approx(growth @ np.abs(b), rel=1e-12)
+    assert [float(v) for v in moving] == pytest.approx(growth @ np.abs(A @ b), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("delay", "jitter", "crosses"),
+    [
+        ("0", "0", False),
+        ("0", "0.1", True),
+        ("0.05", "0.1", True),
+        ("0.1", "0.1", False),
+        ("0.5", "0.2", False),
+        ("0.9", "0.1", False),
+        ("0.95", "0.1", True),
+        ("1.05", "0.1", True),
+        ("2.5", "0.4", False),
+    ],
+)
+def test_windows_that_reach_into_another_period(delay, jitter, crosses):
+    drive = exact_period([1, 1], (1, 1)).drive
+    exact = {"delay": rational(delay), "jitter": rational(jitter)}
+    assert _crosses(replace(drive, **exact)) is crosses
+
+
+@pytest.mark.parametrize("delay", ["0.5", "0"])
+def test_jitter_adds_what_moves_within_it(delay):
+    """j T times pulses and rates; rates have |b| DU and |W| w at once, u and its steps no cell."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = exact_period([1, 1], (1, 1), n=2).drive
+        one, zero = rational(1.0), rational(0.0)
+        both = UncertainBound(zero, one, (one, one), (zero, zero))
+        drive = replace(drive, delay=rational(delay), jitter=rational("0.25"), uncertain=(both,))
+        period = one_period(drive, (1, 1))
+        rows = output_rows(period) + rate_rows(period)
+        bounds = OutputBounds.of(period, rows, output_gains(period, rows, 8))
+        timed, pulses = TimedBounds.of(period, rows, bounds, 8), pulse_gains(period, rows, 8)
+        cells = [_in_cell_pulse(period, cell.length) for cell in period.cells]
+        windows = 2 if delay == "0" else 1
+        assert timed.count == 7 and {row.output for row in rows} == set(range(7))
+        for i, row in enumerate(rows):
+            held, at_once, direct = pulses[i], 0.0, 0.0
+            still, moving = cells[row.phase]
+            if row.output in (0, 1, 2):
+                held += windows * float(still[max(row.output - 1, 0)])
+            if row.output >= 5:
+                state = row.output - 5
+                held += windows * float(moving[state])
+                at_once, direct = (0.0, 1.0)[state], (0.0, 1.0)[state]
+            assert float(timed.by_step[i]) == pytest.approx(0.025 * held + at_once, rel=1e-12)
+            assert [float(v) for v in timed.direct[i]] == [direct]
+            noise = 0.025 * bounds.gains.noise[i]
+            assert [float(v) for v in timed.by_rate[i]] == pytest.approx(noise, rel=1e-12)
+        image = timed.image([1, 2], 3, 0.5, [4, 5])
+        noise = np.array(timed.by_rate, dtype=float) @ [4, 5]
+        w = np.array(bounds.w[:, 0] + timed.direct[:, 0], dtype=float)  # |w| <= 1
+        values = np.array(bounds.constant, dtype=float) + w + noise
+        values += np.array(bounds.x, dtype=float) @ [1, 2] + 3 * np.array(bounds.u, dtype=float)
+        values += 0.5 * np.array(timed.by_step, dtype=float)
+        largest = [max(values[bounds.outputs == k]) for k in range(7)]
+        assert [float(v) for v in image] == pytest.approx(largest, rel=1e-9)
+        v = timed.search()
+        entries = [flint.arb(x) for x in v]
+        after = timed.image(entries[:2], entries[2], entries[3], entries[4:])
+        assert all(float(a) < b <= float(a) * 1.01 for a, b in zip(after[1:], v, strict=True))
