@@ -1,6 +1,8 @@
 """Floats with what they may be off by hold the exact numbers, also where every rounding falls."""
 
+import importlib
 import math
+import pkgutil
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -12,19 +14,27 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 from scipy.linalg import expm
+from test_implemented_parts import CALM
+from test_slow import axis
 
 import certrack
+from certrack.certificates import implemented
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import premises as implemented_premises
-from certrack.certificates.implemented.certify import limits_met
+from certrack.certificates.implemented.certify import certify_implemented, limits_met
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, linear_drift
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
+    KernelColumns,
     gains_table,
     largest_of_each,
     mean_magnitude,
+    product_error,
+    sums_over_time,
+    tail_gains,
 )
+from certrack.certificates.implemented.levels import _sized
 from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import _covered, lipschitz_status
@@ -75,6 +85,68 @@ def test_the_middle_and_the_radius_of_a_ball_are_enclosed(value):
         assert largest <= Fraction(float(found.upper[0, 0])) <= largest * 2 + Fraction(1, 10**100)
         assert up(ball) == found.upper[0, 0]
         assert found.error[0, 0] > float(ball.rad())
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How many roundings each sum was widened for, in all modules of the implemented loop."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    for entry in pkgutil.iter_modules(implemented.__path__, implemented.__name__ + "."):
+        module = importlib.import_module(entry.name)
+        if hasattr(module, "widened"):
+            monkeypatch.setattr(module, "widened", counting)
+    return counts
+
+
+@pytest.mark.parametrize("kind", ["starts", "jitter", "rates"])
+def test_no_sum_counts_fewer_roundings_than_its_last_steps(counted, kind):
+    """Of one entry each: the products and sums by which it enters what is widened."""
+    if kind == "rates":
+        certify_implemented(axis(rate=[0, 0.5]))
+    else:
+        system = certrack.loads(CALM)
+        jitter = 0.1 if kind == "jitter" else 0.0
+        drive = replace(system.implementation, delay=0.5, jitter=jitter)
+        certify_implemented(system.replace(implementation=drive), from_start=kind == "starts")
+    assert len(counted) > 10 and min(counted) >= 3
+
+
+def test_sums_count_a_rounding_for_each_of_their_terms(counted):
+    size, ends, periods, bends = 12, 40, 30, 50
+    columns = KernelColumns(
+        np.zeros(ends - 1),
+        flint.arb_mat(size, 2 * ends),
+        flint.arb_mat(size, 3),
+        flint.arb_mat(size, bends),
+        np.zeros(bends),
+        np.zeros((size, 1)),
+    )
+    width = 2 * ends + 3 + bends + size
+    sums_over_time(columns, np.zeros((2, periods, width)), np.zeros((2, width)))
+    assert counted.pop() >= ends + periods
+    for few in (1, 20):  # bends, or entries of chi, that are many beside the others
+        table = replace(columns, bends=flint.arb_mat(size, few), bend_weights=np.zeros(few))
+        gains_table(table, 1, np.zeros((2, 2 + 3 + few + size)))
+        assert counted.pop() >= size + few
+    for size, block, blocks in ((30, 1, 1), (2, 40, 1), (2, 1, 50)):
+        heads = Enclosed(*np.ones((2, blocks * 2, size)))
+        table = Enclosed(*np.ones((2, size, block * 3)))
+        product_error(heads, table, 2, block)
+        assert counted.pop() >= blocks + block + 2 * size
+    tail_gains(np.ones((1, 40)), np.ones((40, 2)), 0.001 * np.ones((40, 40)))
+    assert len(counted) == 4 and counted[0] >= 40 and counted[-1] >= 40
+    for cells, q in ((60, 0), (3, 20), (1, 1)):
+        period = SimpleNamespace(drive=SimpleNamespace(q=q, Y=[rational(1.0)] * (q + 2)))
+        bends = cells * max(q - 1, 0)
+        columns = SimpleNamespace(bend_weights=np.ones(bends))
+        found = _sized(period, [None], columns, cells, np.ones((1, 1 + cells * (q + 1) + bends)))
+        assert counted.pop() >= cells + q + 1
+        assert found == pytest.approx(1 + cells * (q + 1) + bends)
 
 
 def exact_product(p, q):
