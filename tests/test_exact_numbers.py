@@ -18,6 +18,7 @@ from mpmath import mp
 
 import certrack
 from certrack.certificates import certify, certify_semidefinite, to_document, verify
+from certrack.certificates import start as start_room
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball, upper_rational
 from certrack.certificates.cascade import certify_cascade
@@ -302,6 +303,27 @@ def test_the_reference_and_the_states_at_the_start_are_enclosed():
         for ball, value in zip(Y, floats.tolist(), strict=True):
             assert abs(float(ball.mid()) - value) <= 1e-15 * (1 + abs(value))
         assert len(x) == system.plant.n
+
+
+def test_a_start_that_no_ball_encloses_is_that_of_floats_and_unproven(monkeypatch):
+    """Of a plant with states of its own, and of a reference."""
+    base = certrack.load("dual-motor-physical")
+    system, same = (base.with_settings(x0=(0.1, 0.2, -0.3, 0.4, 0.5, -0.6)) for _ in range(2))
+    q = system.controller.coordinates.q
+    with ball_precision():
+        before = states_at_start(system)[0], reference_at_start(system, q)[0]
+
+        def refuse(formula, values):
+            raise ValueError("no rule")
+
+        monkeypatch.setattr(start_room, "enclosing_ball", refuse)
+        after = states_at_start(same), reference_at_start(same, q)
+    for exact, (balls, proven) in zip(before, after, strict=True):
+        assert not proven and len(balls) == len(exact) > 0
+        for ball, known in zip(balls, exact, strict=True):
+            value = float(known.mid())
+            assert float(ball.mid()) == pytest.approx(value, rel=1e-12, abs=1e-15)
+            assert float(ball.rad()) == pytest.approx(1e-9 * abs(value), rel=1e-6, abs=1e-24)
 
 
 BALLS = "sin(x) cos(x) tan(x) asin(x) acos(x) atan(x) sinh(x) cosh(x) tanh(x) exp(x) log(x) sqrt(x)"
