@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 
@@ -19,9 +20,11 @@ from mpmath import mp
 import certrack
 from certrack.certificates import certify, certify_semidefinite, to_document, verify
 from certrack.certificates import start as start_room
+from certrack.certificates import stated as stated_room
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball, upper_rational
 from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import _smallest_eigenvalue, certify_published, collect
@@ -508,6 +511,43 @@ def test_a_law_that_does_not_obey_what_it_states_has_no_certificate(name, law, r
     assert reason in found.semidefinite.reason
     assert not any(c.exists for c in (found.published, found.corrected, found.rate, found.cascade))
     assert found.critical_semidefinite == found.critical_published == 0
+
+
+@pytest.mark.parametrize("integral", [None, 4.0])
+def test_the_numbers_of_a_law_are_those_of_the_recursion_but_for_roundings(monkeypatch, integral):
+    """Relative to the largest of each group: 1e-10 is a rounding, 1e-8 another design."""
+    base = certrack.load("dual-motor-lean")
+    law = replace(base.law, integral=integral)
+    honest = stated_room.recursion
+
+    def apart(name, relative):
+        """The design with all numbers of a group off by a part of its largest."""
+
+        def recursion(*parts, **options):
+            design = honest(*parts, **options)
+            if name in ("column", "nu"):
+                old = getattr(design.integral, name)
+                part = replace(design.integral, **{name: old + relative * np.abs(old).max()})
+                return replace(design, integral=part)
+            old = getattr(design, name)
+            return replace(design, **{name: old + relative * np.abs(old).max()})
+
+        return recursion
+
+    groups = {"A": "A_n", "B": "B_n", "nu_x": "nu_x", "nu_Y": "nu_Y"}
+    groups |= {} if integral is None else {"column": "A_n0", "nu": "nu_0"}
+    for name, said in groups.items():
+        for relative in (1e-13, 1e-8):
+            system = base.replace(law=law)  # nothing is kept with another object
+            monkeypatch.setattr(stated_room, "recursion", apart(name, relative))
+            if relative < 1e-9:
+                assert stated_error_system(system, integral=True)
+            else:
+                with pytest.raises(NoCertificate, match=f"its {said} is not that of"):
+                    stated_error_system(system, integral=True)
+    if integral is not None:
+        with pytest.raises(NoCertificate, match=re.escape(stated_room.INTEGRAL_ACTION)):
+            stated_error_system(base.replace(law=law))
 
 
 def test_a_law_runs_with_the_subnormal_numbers_that_it_states():

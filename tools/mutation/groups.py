@@ -56,7 +56,7 @@ GROUPS = {
     "ranges": Group(
         "certificates/ranges/*",
         "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
-        " sectors strength peak estimates range_tubes drift exact_checks",
+        " sectors strength peak estimates range_tubes exact_checks",
     ),
     "implemented": Group(
         "certificates/implemented/*",
