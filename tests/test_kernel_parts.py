@@ -242,6 +242,11 @@ def test_a_fixed_point_is_above_that_of_the_loop_and_near():
         known = np.linalg.solve(np.eye(3) - G, constant)[0]
         assert known < _bound(lambda v, G=G: constant + G @ v, 3) <= known * (1 + 1e-7)
     assert 50 < _bound(lambda v: 1 + 0.98 * v, 2) <= 50 * (1 + 1e-7)
+    for beyond in (1.0, 2.0):  # what the image is cut off at is no bound
+        at_the_limit = iter([np.array([0.5 * UNBOUNDED, 1.0])] * 2)
+        cut = np.array([beyond * UNBOUNDED, 1.0])
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, it=at_the_limit, cut=cut: next(it, cut), 2)
     for gain in (1.0, 1.5):
         with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
             _bound(lambda v, gain=gain: np.minimum(1 + gain * v, UNBOUNDED), 2)

@@ -213,7 +213,7 @@ def _bound(image: Any, count: int) -> float:
         if (after <= v * (1 + WIDENED / 10)).all():
             wide = v * (1 + WIDENED) + LEAST
             proven = image(wide) * (1 + FIXED_POINT_ROUNDING)
-            if (proven[1:] < wide[1:]).all():
+            if (proven[1:] < wide[1:]).all() and proven.max() < UNBOUNDED:
                 return float(proven[0])
         v = after  # the nearer the gain is to 1, the nearer to its end the iteration must be
     raise NoCertificate(TOO_MUCH_GAIN)
