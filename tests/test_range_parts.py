@@ -46,6 +46,8 @@ from certrack.certificates.ranges.proofs import (
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
 from certrack.certificates.ranges.sectors import sector_of
 from certrack.certificates.ranges.strength import NO_PROOF, _Search, critical_ranges
+from certrack.certificates.ranges.vertices import ProblemMaker, VertexProgram, prove_vertices
+from certrack.certificates.semidefinite import best_solution
 
 A_ONLY = re.sub(r"input_gain = \[4.*|theta = \[\[.*", "", FIRST_ORDER)
 
@@ -655,6 +657,29 @@ def test_ranges_may_grow_until_nothing_holds(widest, scale):
     more = critical_ranges(Holding(widest), cells=True, known=False)
     assert more.scale > 2 * found.scale
     assert critical_ranges(Holding(1e-12), cells=False, known=False).scale == 0
+
+
+def test_a_search_tells_how_many_scales_were_tried():
+    told = []
+    critical_ranges(Holding(0.3), cells=False, known=False, progress=lambda *all: told.append(all))
+    assert len(told) > 5 and told == [(k, None, None) for k in range(len(told))]
+
+
+@pytest.mark.parametrize("uncertainty", ["tau = [2]\ngamma = [0.4]\nbeta = [0.3]"])
+def test_what_the_program_of_a_hull_finds_is_what_is_proven(uncertainty):
+    """Its Delta is the largest cost of all points, and each has multipliers of its own."""
+    loop = first_order(uncertainty, signal="1.5*sin(t)")
+    exact_problems = ProblemMaker(loop).at_points(loop.box, None)
+    program = VertexProgram([problem.in_floats() for problem in exact_problems])
+    solution = best_solution(program)
+    costs = [float(nu.sum() + k.sum()) for _, nu, k in solution.multipliers]
+    assert len(costs) == 2 and costs[0] != costs[1]
+    assert solution.delta == pytest.approx(max(costs), rel=1e-5)
+    stages = prove_vertices(exact_problems, solution)
+    bounds = {float(stage.bound) for stage in stages}
+    assert len(stages) == 2 and len(bounds) == 1
+    assert solution.bound == pytest.approx(bounds.pop(), rel=1e-4)
+    assert not program.solve(1.001 * program.fastest)
 
 
 def test_a_proof_at_scale_1_is_not_lost():

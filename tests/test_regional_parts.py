@@ -1,0 +1,115 @@
+"""Claims on a region part by part: the descent from later bounds, the largest box of starts."""
+
+from types import SimpleNamespace
+
+import flint
+import pytest
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.fixed_point import FIXED_POINT_MARGIN
+from certrack.certificates.implemented.regional import (
+    LARGEST_BOX,
+    descend,
+    in_the_long_run,
+    largest_region,
+    not_reached,
+)
+
+
+class Halving:
+    """F(x, u) = (1 + x/2, 3 + u/2), whose fixed point is (2, 6)."""
+
+    def __init__(self, least=(1.0, 3.0)):
+        self.least, self.asked = least, 0
+
+    def image(self, X, U):
+        self.asked += 1
+        (x,) = X
+        return [None, flint.arb(self.least[0]) + x / 2, flint.arb(self.least[1]) + U / 2, None]
+
+
+def floats(balls):
+    return [float(v) for v in balls]
+
+
+def test_bounds_go_down_to_the_fixed_point_and_stand_still_there():
+    found = floats(descend(Halving(), ([10], 20), lambda v: False))
+    assert found == pytest.approx([2, 6], rel=1e-7)
+    assert found[0] >= 2 and found[1] >= 6
+    # what is below its image already stays: nothing follows of a larger one
+    assert floats(descend(Halving(), ([1.5], 20), lambda v: False)) == pytest.approx([1.5, 6])
+    assert floats(descend(Halving(), ([1.5], 5), lambda v: False)) == [1.5, 5]
+
+
+def test_bounds_go_down_as_far_as_is_wanted():
+    loop = Halving()
+    assert floats(descend(loop, ([10], 20), lambda v: True)) == [10, 20] and loop.asked == 0
+    assert floats(descend(loop, ([10], 20), lambda v: v[0] < 5)) == [4, 9.5]
+    assert loop.asked == 2
+
+
+def start(states, input):
+    return SimpleNamespace(states=states, input=input)
+
+
+def test_the_long_run_is_the_largest_that_any_start_leads_to():
+    """From (1.5, 20) the state stays and the input falls to 6; from (10, 5) the other way."""
+    states, of_input = in_the_long_run(Halving(), [start(["1.5"], "20"), start(["10"], "5")])
+    assert states == pytest.approx([2 * (1 + FIXED_POINT_MARGIN)], rel=1e-7)
+    assert of_input == pytest.approx(6 * (1 + FIXED_POINT_MARGIN), rel=1e-7)
+    assert states[0] > 2 and of_input > 6
+
+
+@pytest.mark.parametrize(
+    ("states", "of_input", "reached"),
+    [(2.1, 6.1, True), (2.1, 5.9, False), (1.9, 6.1, False), (10, 20, True), (4, 9.5, True)],
+)
+def test_a_claim_of_the_long_run_is_one_that_a_start_leads_to(states, of_input, reached):
+    said = not_reached(Halving(), ([flint.arb(states)], flint.arb(of_input)), start(["10"], "20"))
+    assert (said == "") is reached
+    assert reached or "do not lead down" in said
+
+
+def system(n=2, drawn=None, states=()):
+    return SimpleNamespace(
+        truth=SimpleNamespace(states=states),
+        varied=SimpleNamespace(x0=drawn),
+        plant=SimpleNamespace(n=n),
+    )
+
+
+def largest(limit, **options):
+    """The largest box whose first state is within a limit, and the boxes that were tried."""
+    tried = []
+
+    def holds(box):
+        tried.append(box)
+        assert all(float(low) == -float(high) for low, high in box)
+        return float(box[0][1]) <= limit
+
+    return largest_region(system(**options), holds), tried
+
+
+@pytest.mark.parametrize("limit", [1.0, 0.999, 1.5, 37.0, 2e-5, 9.99e5])
+def test_the_largest_box_is_within_what_holds_and_near(limit):
+    found, tried = largest(limit)
+    size = float(found[0][1])
+    assert limit / 1.0011 <= size <= limit and found in tried
+    assert found[1] == found[0]
+    assert all(float(f"{float(high):.5g}") == float(high) for _, high in found)
+
+
+def test_a_box_has_the_shape_of_the_starts_that_are_drawn():
+    drawn = [SimpleNamespace(low=-2.0, high=1.0), SimpleNamespace(low=-3.0, high=8.0)]
+    found, _ = largest(1.0, drawn=drawn)
+    sizes = [float(high) for _, high in found]
+    assert 1 / 1.0011 <= sizes[0] <= 1 and sizes[1] == pytest.approx(4 * sizes[0], rel=1e-4)
+
+
+def test_a_box_is_looked_for_between_two_scales():
+    found, _ = largest(float("inf"))
+    assert 0.5 * LARGEST_BOX < float(found[0][1]) <= 2 * LARGEST_BOX
+    with pytest.raises(NoCertificate, match="no bounds from a box"):
+        largest(0.0)
+    with pytest.raises(NoCertificate, match="states of its own"):
+        largest(1.0, states=("a",))
