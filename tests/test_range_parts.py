@@ -33,6 +33,7 @@ from certrack.certificates.ranges.coefficients import Coefficients, _parts, larg
 from certrack.certificates.ranges.costs import costs
 from certrack.certificates.ranges.edges import Edge, _decimal, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
+from certrack.certificates.ranges.formulas import OpenFormulas
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
 from certrack.certificates.ranges.proofs import (
@@ -151,6 +152,14 @@ def test_an_entry_is_the_sum_of_its_parts(text):
     for function, _ in parts:  # a number before it would be another function
         top, bottom = sympy.fraction(sympy.cancel(function))
         assert sympy.LC(top, *symbols) == 1 and sympy.Poly(bottom, *symbols).content() == 1
+
+
+def test_terms_of_a_law_that_estimates_are_those_of_the_drift_alone():
+    system = certrack.loads(FIRST_ORDER)
+    known, estimated = (OpenFormulas(system, flag).terms() for flag in (False, True))
+    (x,), (a, _, theta) = system.plant.symbols, OpenFormulas(system, False).symbols
+    assert estimated == {x: -a} and list(known) == [x]
+    assert sympy.expand(known[x] - (theta - a)) == 0
 
 
 def test_the_largest_bracket_of_a_box():
@@ -686,6 +695,7 @@ def test_a_proof_at_scale_1_is_not_lost():
     assert critical_ranges(Holding(0.5, 4.0), cells=False, known=True).scale == 1.0
     assert critical_ranges(Holding(3.0, 4.0), cells=False, known=True).scale >= 3 / 1.03
     assert critical_ranges(Holding(0.5, 4.0), cells=False, known=False).scale <= 0.5
+    assert 1.45 < critical_ranges(Holding(1.5, 4.0), cells=False, known=True).scale <= 1.5
 
 
 def test_a_search_is_limited_by_stability_and_by_cells():
@@ -731,3 +741,4 @@ def test_what_takes_longer_is_made_where_it_is_asked_for():
     ):
         assert all(signature(verb).parameters[name].default is False for name in options), verb
     assert signature(certify_ranges).parameters["effort"].default == "default"
+    assert signature(bound_ranges).parameters["enough"].default == 0  # goes on as far as it can

@@ -1,11 +1,13 @@
 """Claims on a region part by part: the descent from later bounds, the largest box of starts."""
 
+import math
 from types import SimpleNamespace
 
 import flint
 import pytest
 
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import cover, start_proof
 from certrack.certificates.implemented.fixed_point import FIXED_POINT_MARGIN
 from certrack.certificates.implemented.regional import (
     LARGEST_BOX,
@@ -14,6 +16,7 @@ from certrack.certificates.implemented.regional import (
     largest_region,
     not_reached,
 )
+from certrack.certificates.implemented.start_proof import StartProver
 
 
 class Halving:
@@ -113,3 +116,78 @@ def test_a_box_is_looked_for_between_two_scales():
         largest(0.0)
     with pytest.raises(NoCertificate, match="states of its own"):
         largest(1.0, states=("a",))
+
+
+@pytest.mark.parametrize("regional", [True, False])
+def test_a_region_of_starts_is_where_bounds_hold(monkeypatch, regional):
+    """With the periods that x(0) = 0 needs, half of them before the later bounds begin."""
+    asked = []
+
+    def bounds(starts, doublings, middle, later):
+        asked.append((starts, doublings, middle, later))
+        if "far" in starts:
+            raise NoCertificate("too far")
+
+    def largest(system, holds):
+        return "largest of", system, holds("near"), holds("far")
+
+    prover = SimpleNamespace(
+        system="it", drive="drive", first_frame="frame", bounds=bounds, _doublings=lambda phase: 7
+    )
+    monkeypatch.setattr(start_proof, "is_regional", lambda system: regional)
+    monkeypatch.setattr(start_proof, "largest_region", largest)
+    monkeypatch.setattr(start_proof, "region_of", lambda *parts: parts)
+    monkeypatch.setattr(start_proof, "start_set_of", lambda *parts: parts)
+    found = StartProver._region(prover, "phase")
+    if regional:
+        assert found == ("largest of", "it", True, False)
+        near, far = (("it", "drive", "phase", region) for region in ("near", "far"))
+        assert asked == [(near, 7, 64, None), (far, 7, 64, None)]
+    else:
+        assert found == ("it", "drive", "frame") and not asked
+
+
+@pytest.mark.parametrize(("needed", "looked_at"), [(5, 6), (12, 13), (13, 13)])
+def test_a_region_is_looked_for_with_twice_the_periods_of_the_origin(
+    monkeypatch, needed, looked_at
+):
+    asked = []
+
+    def search(starts, enough):
+        asked.append(starts)
+        assert enough(None) is True
+        return needed, None
+
+    monkeypatch.setattr(start_proof, "start_set_of", lambda *parts: parts)
+    prover = SimpleNamespace(system="it", drive=SimpleNamespace(n=2), search=search)
+    assert StartProver._doublings(prover, "phase") == looked_at
+    assert asked == [("it", prover.drive, "phase", (("0.0", "0.0"), ("0.0", "0.0")))]
+
+
+@pytest.mark.parametrize("worst", [1.0, math.inf])
+def test_few_cells_are_proven_if_all_have_a_bound(monkeypatch, worst):
+    asked = []
+
+    class Search:
+        def __init__(self, *parts):
+            asked.append(parts)
+
+        def divided(self, *parts):
+            asked.append(parts)
+            return ["a", "b"]
+
+        def bound(self, cell):
+            return {"a": 0.5, "b": worst}[cell]
+
+        def proofs(self, cells):
+            return [f"proof of {cell}" for cell in cells]
+
+    monkeypatch.setattr(cover, "_CellSearch", Search)
+    if math.isfinite(worst):
+        found = cover.prove_few_cells("it", "plant", 1, 2.0, ("first",))
+        assert found == ["proof of a", "proof of b"]
+    else:
+        with pytest.raises(NoCertificate, match="has no bound"):
+            cover.prove_few_cells("it", "plant", 1, 2.0, ("first",))
+    assert asked[0] == ("it", "plant", 1)
+    assert asked[1][0] == "default" and asked[1][2:] == (2.0, ("first",))
