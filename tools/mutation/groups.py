@@ -44,7 +44,7 @@ GROUPS = {
         "certificates certificate_formulas certificate_parts published_formulas certificate_data"
         " certify_parts certificate_layout size_majorants exact_checks rounding bounds peak tube"
         " independent_checker tube_parts error_problem premises truth strength exact_numbers"
-        " false_claims forged_claims input_bounds input_parts level_set any_output verdicts",
+        " false_claims forged_claims input_bounds input_parts level_set verdicts",
     ),
     "input-bounds": Group(
         "certificates/input_* certificates/mean_squares", "input_bounds input_parts"
