@@ -63,7 +63,7 @@ GROUPS = {
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
         " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
         " slow_signals slow_parts slow_split fixed_point_parts implemented_conditions start_parts"
-        " certificate_layout observers regional_parts",
+        " certificate_layout regional_parts",
     ),
     "references": Group(
         "references/*",
