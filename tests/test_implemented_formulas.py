@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
@@ -21,7 +22,9 @@ from certrack.certificates.implemented.gains import (
     largest_of_each,
     mean_magnitude,
     output_gains,
+    product_error,
     running_period,
+    sums_over_time,
     tail_gains,
     upper_number,
 )
@@ -263,6 +266,50 @@ def test_jumps_add_up_once_in_so_many_periods(n):
         assert found.sample[first] == pytest.approx(1 / n, rel=1e-6)
         without = output_gains(exact_period([0, 1], (1, 1), n=n), rows, 8)
         assert (without.jump == 0).all()
+
+
+def test_sums_over_periods_are_lines_between_the_cells_and_magnitudes():
+    """With what all numbers may be off by: half of both ends' errors on a line, all on others."""
+    rng = np.random.default_rng(5)
+    lengths, width, others = np.array([0.5, 0.25, 2.0]), 2, 7
+    rows, periods, split = 3, 4, 4 * width
+    columns = SimpleNamespace(lengths=lengths, nodes=flint.arb_mat(1, split))
+    values = rng.uniform(-1, 1, (rows, periods, split + others))
+    error = rng.uniform(0, 0.1, (rows, split + others))
+    found = sums_over_time(columns, values, error)
+    expected = np.zeros((rows, width + others))
+    for i in range(rows):
+        for w in range(width):
+            for c, h in enumerate(lengths):
+                a, b = c * width + w, (c + 1) * width + w
+                expected[i, w] += h * (error[i, a] + error[i, b]) / 2
+                for p in range(periods):
+                    line = np.linspace(values[i, p, a], values[i, p, b], 40_001)
+                    expected[i, w] += h * float(np.trapezoid(np.abs(line), dx=1 / 40_000))
+        expected[i, width:] = np.abs(values[i, :, split:]).sum(axis=0) + error[i, split:]
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+def test_products_of_tables_are_off_by_no_more_than_is_counted():
+    """Sum over all periods; each part of the error is there at its full size, none twice."""
+    rng = np.random.default_rng(6)
+    blocks, count, size, block, width = 3, 2, 4, 5, 2
+    heads = Enclosed(*rng.uniform(0.5, 1, (2, blocks * count, size)))
+    table = Enclosed(*rng.uniform(0.5, 1, (2, size, block * width)))
+    found = product_error(heads, table, count, block)
+    worst = np.zeros((count, width))
+    for b in range(blocks):
+        head, off = (v[b * count : (b + 1) * count] for v in (heads.value, heads.error))
+        for k in range(block):
+            entry, apart = (v[:, k * width : (k + 1) * width] for v in (table.value, table.error))
+            worst += (head + off) @ (entry + apart) - head @ entry
+    assert (found >= worst).all() and found == pytest.approx(worst, rel=1e-12)
+    exact = replace(heads, error=0 * heads.error), replace(table, error=0 * table.error)
+    sizes = heads.value.reshape(blocks, count, size).sum(axis=0)
+    sizes = sizes @ table.value.reshape(size, block, width).sum(axis=1)
+    least, most = (2 * (size + more) * 2.0**-53 * sizes for more in (0, 8))
+    rounding = product_error(*exact, count, block)
+    assert (rounding > least).all() and (rounding < most).all()
 
 
 def test_the_largest_of_each_group():
