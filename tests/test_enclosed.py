@@ -269,6 +269,15 @@ def test_a_start_with_any_reference_covers_every_reference():
         assert (more.size > every.size).all() and (more.later >= every.later).all()
 
 
+def test_the_premise_names_what_an_observer_estimates():
+    """Disturbances alone, whose states are measured; or all states, too."""
+    dob, eso = axis(), certrack.load("dual-motor-observer")
+    said = _covered(dob, dob.implementation).split("; ")
+    assert "what acts on x2 by the observer, which is part of the loop" in said
+    (said,) = (part for part in _covered(eso, eso.implementation).split("; ") if "observer" in part)
+    assert said.startswith(", ".join(eso.plant.states) + ", what acts on ")
+
+
 def test_the_premise_names_what_the_drive_has():
     quantised = DRIVE.replace("[implementation]", "[implementation]\ninput_quantum = 0.25")
     sensors = "sensors within 0.0005001 for x1, 0.001001 for x2"  # rounded up
