@@ -13,8 +13,9 @@ from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import timing as timing_room
 from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
-from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     gains_of,
@@ -499,6 +500,25 @@ def test_a_pulse_counts_with_its_largest_effect_in_every_period(n, cells):
         if row.phase:  # of the cells that have passed only
             expected += np.abs(line) @ (np.max(small, axis=0) - bend)
         assert value >= expected * (1 - 1e-12) and value == pytest.approx(expected, rel=1e-9)
+
+
+def test_sums_of_pulses_count_a_rounding_for_each_of_their_terms(monkeypatch):
+    """Of a block of periods, of all blocks, and of the period that runs."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(timing_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, 3))
+        pulse_gains(period, output_rows(period), 7)
+    block, blocks, size, ends = 8, 16, period.size, 4
+    assert len(counts) == blocks + 3
+    assert min(counts[:blocks]) >= block + size
+    assert counts[blocks] >= blocks + size + ends
+    assert counts[blocks + 1] >= size and counts[-1] >= 2
 
 
 def test_what_a_pulse_does_within_a_cell():
