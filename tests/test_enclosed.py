@@ -269,6 +269,27 @@ def test_a_start_with_any_reference_covers_every_reference():
         assert (more.size > every.size).all() and (more.later >= every.later).all()
 
 
+def test_what_is_there_at_the_start():
+    """x(0) or the middle of a region and its half widths, Y(0), and the first input's own part."""
+    base = certrack.loads(DRIVE)
+    system = base.replace(implementation=replace(base.implementation, initial_input=0.5))
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(drive_of(system), offset=rational(0.125))
+        found = start_set_of(system, drive, FILE_PHASE, ())
+        assert [float(v) for v in (*found.center, *found.half)] == [0.01, 0, 0, 0]
+        assert [float(v.mid()) for v in found.Y] == pytest.approx([0.1, 0])  # of 0.1 cos t
+        assert float(found.initial) == 0.5 - 0.125 and found.jump is None
+        box = (("-1", "3"), ("0.5", "0.75"))
+        every = start_set_of(system, drive, ANY_PHASE, box)
+        assert [float(v) for v in every.center] == [1, 0.625] and every.Y is None
+        assert [float(v) for v in every.half] == [2, 0.125]
+        with pytest.raises(NoCertificate, match="jitter"):
+            start_set_of(system, replace(drive, jitter=rational(0.1)), FILE_PHASE, ())
+        late = system.replace(implementation=replace(system.implementation, offset=0.0025))
+        with pytest.raises(NoCertificate, match="first sample"):
+            start_set_of(late, drive, FILE_PHASE, ())
+
+
 def test_the_premise_names_what_an_observer_estimates():
     """Disturbances alone, whose states are measured; or all states, too."""
     dob, eso = axis(), certrack.load("dual-motor-observer")
