@@ -31,7 +31,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.implemented.levels import Level, _still, reference_columns
-from certrack.certificates.implemented.outputs import InCell, Row, output_rows
+from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
 from certrack.certificates.implemented.start import (
@@ -199,6 +199,29 @@ def test_columns_of_the_kernels_are_their_definitions(q, smeared):
         assert 0.9 * bound < found.curvature[0, 0] <= 1.0001 * bound
         width = 2 * 4 + 1 + 2 + 3 * max(q - 1, 0) + period.size
         assert found.all().ncols() == width
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_what_a_cell_adds_is_its_taylor_series_and_a_remainder(degree):
+    """Of w the series of the kernel and what is beyond it; of x and u what is beyond it alone."""
+    h, q = Fraction(1, 5), 1
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([0, 1, 1], (1, 1), n=2)
+        derivatives = [flint.arb_mat([[1, 2]])]
+        for _ in range(degree + 1):
+            derivatives.append(derivatives[-1] * period.drive.A)
+        of_Y = [flint.arb(3), flint.arb(-5)]
+        found = _in_cell(period, flint.fmpq(1, 5), derivatives, of_Y, degree)
+    A, W, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0]), np.array([0.0, 1.0])
+    lines = [np.array([1.0, 2.0]) @ np.linalg.matrix_power(A, k) for k in range(degree + 2)]
+    step = [float(h**k / math.factorial(k)) for k in range(degree + 3)]
+    last = np.abs(lines[-1]) @ expm(np.abs(A) * float(h))
+    w = sum(abs(lines[k] @ W) * step[k + 1] for k in range(degree + 1))
+    assert [float(v) for v in found.w] == pytest.approx([w + last @ W * step[degree + 2]])
+    assert float(found.r) == pytest.approx(sum(v * step[q - j + 1] for j, v in enumerate((3, 5))))
+    assert [float(v) for v in found.x] == pytest.approx(last * step[degree + 1])
+    u = (abs(lines[degree] @ b) + last @ b * float(h)) * step[degree + 1]
+    assert float(found.u) == pytest.approx(u)
 
 
 def test_of_the_running_period_only_what_has_passed_is_seen():

@@ -19,6 +19,7 @@ from certrack.certificates.implemented.slow import (
     slow_columns,
 )
 from certrack.certificates.implemented.superposition import (
+    SplitLoop,
     _may_split,
     is_split,
     speeds_of_states,
@@ -340,3 +341,22 @@ def test_terms_of_the_states_without_jumps_are_split():
         assert _may_split(SimpleNamespace(drive=driven(*slow))) is may
     formula = driven(BY_STATES, STILL, growing="a formula")
     assert not _may_split(SimpleNamespace(drive=formula))
+
+
+def test_a_part_of_the_loop_is_driven_as_the_whole_is():
+    """By its constants, its terms, its states and its input; its rows are those of x and u."""
+    asked = []
+
+    class Bounds:
+        drive = SimpleNamespace(n=2)
+
+        def values(self, *parts):
+            asked.append(parts)
+            return "values"
+
+        def largest(self, values, outputs):
+            return values, list(outputs)
+
+    loop = SplitLoop(Bounds(), (7, 8), "sensors", "others")
+    assert loop._image("constant", "sizes", [1, 2, 3]) == ("values", [1, 2, 3])
+    assert asked == [("constant", "sizes", [1, 2], 3)]
