@@ -288,6 +288,9 @@ def test_jumps_add_up_once_in_so_many_periods(n):
         assert found.jump[first] == pytest.approx(weight / (1 - a**3), rel=1e-6)
         assert found.jump[first] >= weight / (1 - a**3) * (1 - 1e-12)
         assert found.sample[first] == pytest.approx(1 / n, rel=1e-6)
+        assert found.step[first] == pytest.approx(1 / n, rel=1e-6)  # the converter's acts as well
+        steps = [float(v.mid()) for v in period.step.entries()]
+        assert steps == [float(i == period.command) for i in range(period.size)]
         without = output_gains(exact_period([0, 1], (1, 1), n=n), rows, 8)
         assert (without.jump == 0).all()
 

@@ -1,13 +1,17 @@
 """Claims on a region part by part: the descent from later bounds, the largest box of starts."""
 
 import math
+from inspect import signature
 from types import SimpleNamespace
 
 import flint
 import pytest
+from test_implemented_formulas import exact_period
 
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented import cover, start_proof
+from certrack.certificates.implemented import cover, proof, start_proof
+from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.fixed_point import FIXED_POINT_MARGIN
 from certrack.certificates.implemented.regional import (
     LARGEST_BOX,
@@ -61,6 +65,8 @@ def test_the_long_run_is_the_largest_that_any_start_leads_to():
     assert states == pytest.approx([2 * (1 + FIXED_POINT_MARGIN)], rel=1e-7)
     assert of_input == pytest.approx(6 * (1 + FIXED_POINT_MARGIN), rel=1e-7)
     assert states[0] > 2 and of_input > 6
+    states, _ = in_the_long_run(Halving((0.0, 3.0)), [start(["0"], "20")])
+    assert 0 < states[0] < 1e-200  # strictly above where nothing acts
 
 
 @pytest.mark.parametrize(
@@ -191,3 +197,35 @@ def test_few_cells_are_proven_if_all_have_a_bound(monkeypatch, worst):
             cover.prove_few_cells("it", "plant", 1, 2.0, ("first",))
     assert asked[0] == ("it", "plant", 1)
     assert asked[1][0] == "default" and asked[1][2:] == (2.0, ("first",))
+
+
+@pytest.mark.parametrize("regional", [True, False])
+@pytest.mark.parametrize("early", [True, False])
+def test_what_has_no_fixed_point_is_refused_before_the_reference_is_looked_at(
+    monkeypatch, regional, early
+):
+    """Not where a bound grows faster than the states: there a start decides."""
+    searched = []
+
+    class Bounds:
+        is_regional = regional
+
+        @classmethod
+        def of(cls, *parts):
+            return cls()
+
+        def search(self):
+            searched.append(self)
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, 1))
+        monkeypatch.setattr(proof, "OutputBounds", Bounds)
+        monkeypatch.setattr(proof, "partly_cancelled", lambda *parts: None)
+        assert isinstance(proof._bounds(period, 5, refuse_early=early), Bounds)
+    assert len(searched) == (1 if early and not regional else 0)
+
+
+def test_what_takes_longer_of_a_drive_is_made_where_it_is_asked_for():
+    parameters = signature(certify_implemented).parameters
+    assert parameters["from_start"].default is parameters["margins"].default is False
+    assert parameters["effort"].default == "default"
