@@ -141,12 +141,13 @@ def test_sums_count_a_rounding_for_each_of_their_terms(counted):
     tail_gains(np.ones((1, 40)), np.ones((40, 2)), 0.001 * np.ones((40, 40)))
     assert len(counted) == 4 and counted[0] >= 40 and counted[-1] >= 40
     for cells, q in ((60, 0), (3, 20), (1, 1)):
-        period = SimpleNamespace(drive=SimpleNamespace(q=q, Y=[rational(1.0)] * (q + 2)))
+        Y = [float(k + 2) for k in range(q + 2)]
+        period = SimpleNamespace(drive=SimpleNamespace(q=q, Y=list(map(rational, Y))))
         bends = cells * max(q - 1, 0)
         columns = SimpleNamespace(bend_weights=np.ones(bends))
         found = _sized(period, [None], columns, cells, np.ones((1, 1 + cells * (q + 1) + bends)))
         assert counted.pop() >= cells + q + 1
-        assert found == pytest.approx(1 + cells * (q + 1) + bends)
+        assert found == pytest.approx((1 + bends) * Y[-1] + cells * sum(Y[:-1]))
 
 
 def exact_product(p, q):

@@ -30,7 +30,7 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.levels import Level, _still, reference_columns
+from certrack.certificates.implemented.levels import Level, _memories, _still, reference_columns
 from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
@@ -118,6 +118,25 @@ def test_what_is_seen_of_the_reference_by_levels_is_the_definition(q, phase, lip
         h = float(period.cells[0].length)
         assert found.lengths == pytest.approx([h, 0.0] * (phase - 1) + [h], rel=1e-15)
         assert found.curvature.shape == (period.size, 0)
+
+
+@pytest.mark.parametrize("q", [0, 1, 2])
+def test_memories_of_samples_of_what_is_wanted_repeat_themselves(q):
+    """s = Sx x_d + Ss s before + Sy: what was there a period before, of the Y of then."""
+    rng = np.random.default_rng(q)
+
+    def some(rows, columns):
+        return flint.arb_mat(rng.integers(-9, 9, (rows, columns)).tolist())
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        Sx, Ss, Sy, desired = some(2, 3), some(2, 2), some(2, q + 2), some(3, q + 1)
+        drive = SimpleNamespace(Sx=Sx, Ss=Ss, Sy=Sy, desired=desired, memories=2, q=q)
+        before = shift(q, -flint.fmpq(1, 10))
+        s = _memories(drive, before)
+        of_Y = flint.arb_mat([row[: q + 1] for row in Sy.tolist()])
+        left = s - (Sx * desired + Ss * (s * before) + of_Y)
+        assert (s.nrows(), s.ncols()) == (2, q + 1)
+        assert all(v.contains(0) and float(v.rad()) < 1e-20 for v in left.entries())
 
 
 def test_what_stands_still_of_a_level_is_its_difference_from_the_reference():
