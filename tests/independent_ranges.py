@@ -922,7 +922,7 @@ def fixed_point(system, constant, through, nc):
         return [c + dot(row, inputs) for c, row in zip(constant, through, strict=True)]
 
     v = [Q(0)] * count
-    for _ in range(400):
+    for _ in range(2000):
         new = [Q(float(value)) for value in after(v)[1:]]
         demand(all(value < 10**100 for value in new), "the gain through the ranges is not below 1")
         settled = all(b <= a * (1 + Q(1, 10**11)) for a, b in zip(v, new, strict=True))

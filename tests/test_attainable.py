@@ -181,9 +181,9 @@ def test_nothing_is_attained_where_one_corner_or_the_kind_of_loop_says_so(monkey
 
     monkeypatch.setattr(certify, "attained_at", attained)
     assert attainable_error(prover()) is None
-    one = SimpleNamespace(error=1.0)
+    one = SimpleNamespace(error=0.25)
     monkeypatch.setattr(certify, "attained_at", lambda loop, corner, Y: one)
-    assert attainable_error(prover()) == 1.0
+    assert attainable_error(prover()) == 0.25
     assert attainable_error(prover(brackets=("x",))) is None
     assert attainable_error(prover(moving=1)) is None
     assert attainable_error(prover(by_peak_gains=False)) is None

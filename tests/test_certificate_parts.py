@@ -615,6 +615,17 @@ def growing(text):
     return parse("", text, ["x1", "x2", "norm"])
 
 
+def test_only_what_is_zero_needs_no_bound():
+    """Of strength 3: 3 |w| <= 1/2 (||x||/10 + 1/5) holds for w = 0, and for no other constant."""
+    nothing = {"gamma": 0, "beta": 0}
+    assert term("0").zero and term("0", **nothing).proven
+    for text in ("1", "-1", "x1"):
+        assert not term(text).zero and not term(text).proven
+        assert not term(text, weights=fractions(1, 1)).proven_within(fractions(1, 1))
+        assert term(text, strength=0).zero and term(text, strength=0, **nothing).proven
+    assert term("-1", beta="6").proven and not term("-1", beta="5.99").proven
+
+
 AT = Points(np.array([0.0, 2.0]), np.array([[3.0, -1.0], [4.0, 2.0]]))
 
 

@@ -272,6 +272,27 @@ def test_a_cascade_needs_estimates_and_two_states(asked, n, adaptation, monkeypa
     assert cascade.check_cascade(None, SimpleNamespace(n=2, adaptation=1), [staged("1")] * 2) == ""
 
 
+@pytest.mark.parametrize(("centred", "limit"), [(None, "7"), ("5", "5")])
+def test_the_last_stage_of_a_cascade_begins_with_the_smallest_bound(monkeypatch, centred, limit):
+    problem, proven = SimpleNamespace(n=3, adaptation=1), []
+
+    def prove(problem, target):
+        proven.append((problem, target))
+        return staged("7") if target else staged("3")
+
+    second = None if centred is None else staged(centred, "0.5")
+    monkeypatch.setattr(cascade, "error_problem", lambda *_: problem)
+    monkeypatch.setattr(cascade, "_prove_stage", prove)
+    monkeypatch.setattr(cascade, "_centred_stage", lambda system, exact, stage: second)
+    monkeypatch.setattr(cascade, "head_problem", lambda problem, limit: ("head", limit))
+    monkeypatch.setattr(cascade, "proven", lambda kind, system, proof: (kind, system, proof))
+    found, stages = cascade.certify_cascade("it")
+    assert proven == [(problem, 2), (("head", from_text(limit)), 0)]
+    bounds = [stage.bound for stage in stages]
+    assert bounds == ["7", "3"] if centred is None else bounds == ["7", "5", "3"]
+    assert found == ("cascade", "it", stages[-1])
+
+
 @pytest.mark.parametrize(
     ("bound", "taken"), [("1.9", True), ("2", False), ("2.1", False), (None, False)]
 )

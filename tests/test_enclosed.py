@@ -1,6 +1,8 @@
 """Floats with what they may be off by hold the exact numbers, also where every rounding falls."""
 
+import importlib
 import math
+import pkgutil
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -12,19 +14,27 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 from scipy.linalg import expm
+from test_implemented_parts import CALM
+from test_slow import axis
 
 import certrack
+from certrack.certificates import implemented
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import premises as implemented_premises
-from certrack.certificates.implemented.certify import limits_met
+from certrack.certificates.implemented.certify import certify_implemented, limits_met
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, linear_drift
-from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
+    KernelColumns,
     gains_table,
     largest_of_each,
     mean_magnitude,
+    product_error,
+    sums_over_time,
+    tail_gains,
 )
+from certrack.certificates.implemented.levels import _sized
 from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import _covered, lipschitz_status
@@ -45,6 +55,7 @@ from certrack.certificates.implemented.start_set import (
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN
 from certrack.references import SoftStart
 
+ROUNDOFF = np.finfo(float).eps / 2  # not what the module takes it for
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
 
 
@@ -73,6 +84,70 @@ def test_the_middle_and_the_radius_of_a_ball_are_enclosed(value):
         assert high - low <= Fraction(3, 10**20) + abs(exact) * Fraction(2) ** -48
         assert largest <= Fraction(float(found.upper[0, 0])) <= largest * 2 + Fraction(1, 10**100)
         assert up(ball) == found.upper[0, 0]
+        assert found.error[0, 0] > float(ball.rad())
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How many roundings each sum was widened for, in all modules of the implemented loop."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    for entry in pkgutil.iter_modules(implemented.__path__, implemented.__name__ + "."):
+        module = importlib.import_module(entry.name)
+        if hasattr(module, "widened"):
+            monkeypatch.setattr(module, "widened", counting)
+    return counts
+
+
+@pytest.mark.parametrize("kind", ["starts", "jitter", "rates"])
+def test_no_sum_counts_fewer_roundings_than_its_last_steps(counted, kind):
+    """Of one entry each: the products and sums by which it enters what is widened."""
+    if kind == "rates":
+        certify_implemented(axis(rate=[0, 0.5]))
+    else:
+        system = certrack.loads(CALM)
+        jitter = 0.1 if kind == "jitter" else 0.0
+        drive = replace(system.implementation, delay=0.5, jitter=jitter)
+        certify_implemented(system.replace(implementation=drive), from_start=kind == "starts")
+    assert len(counted) > 10 and min(counted) >= 3
+
+
+def test_sums_count_a_rounding_for_each_of_their_terms(counted):
+    size, ends, periods, bends = 12, 40, 30, 50
+    columns = KernelColumns(
+        np.zeros(ends - 1),
+        flint.arb_mat(size, 2 * ends),
+        flint.arb_mat(size, 3),
+        flint.arb_mat(size, bends),
+        np.zeros(bends),
+        np.zeros((size, 1)),
+    )
+    width = 2 * ends + 3 + bends + size
+    sums_over_time(columns, np.zeros((2, periods, width)), np.zeros((2, width)))
+    assert counted.pop() >= ends + periods
+    for few in (1, 20):  # bends, or entries of chi, that are many beside the others
+        table = replace(columns, bends=flint.arb_mat(size, few), bend_weights=np.zeros(few))
+        gains_table(table, 1, np.zeros((2, 2 + 3 + few + size)))
+        assert counted.pop() >= size + few
+    for size, block, blocks in ((30, 1, 1), (2, 40, 1), (2, 1, 50)):
+        heads = Enclosed(*np.ones((2, blocks * 2, size)))
+        table = Enclosed(*np.ones((2, size, block * 3)))
+        product_error(heads, table, 2, block)
+        assert counted.pop() >= blocks + block + 2 * size
+    tail_gains(np.ones((1, 40)), np.ones((40, 2)), 0.001 * np.ones((40, 40)))
+    assert len(counted) == 4 and counted[0] >= 40 and counted[-1] >= 40
+    for cells, q in ((60, 0), (3, 20), (1, 1)):
+        Y = [float(k + 2) for k in range(q + 2)]
+        period = SimpleNamespace(drive=SimpleNamespace(q=q, Y=list(map(rational, Y))))
+        bends = cells * max(q - 1, 0)
+        columns = SimpleNamespace(bend_weights=np.ones(bends))
+        found = _sized(period, [None], columns, cells, np.ones((1, 1 + cells * (q + 1) + bends)))
+        assert counted.pop() >= cells + q + 1
+        assert found == pytest.approx((1 + bends) * Y[-1] + cells * sum(Y[:-1]))
 
 
 def exact_product(p, q):
@@ -193,6 +268,36 @@ def test_a_start_with_any_reference_covers_every_reference():
         noisy = replace(starts, half=tuple(flint.arb("0.001") for _ in starts.half))
         more = frame.transient(noisy)
         assert (more.size > every.size).all() and (more.later >= every.later).all()
+
+
+def test_what_is_there_at_the_start():
+    """x(0) or the middle of a region and its half widths, Y(0), and the first input's own part."""
+    base = certrack.loads(DRIVE)
+    system = base.replace(implementation=replace(base.implementation, initial_input=0.5))
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(drive_of(system), offset=rational(0.125))
+        found = start_set_of(system, drive, FILE_PHASE, ())
+        assert [float(v) for v in (*found.center, *found.half)] == [0.01, 0, 0, 0]
+        assert [float(v.mid()) for v in found.Y] == pytest.approx([0.1, 0])  # of 0.1 cos t
+        assert float(found.initial) == 0.5 - 0.125 and found.jump is None
+        box = (("-1", "3"), ("0.5", "0.75"))
+        every = start_set_of(system, drive, ANY_PHASE, box)
+        assert [float(v) for v in every.center] == [1, 0.625] and every.Y is None
+        assert [float(v) for v in every.half] == [2, 0.125]
+        with pytest.raises(NoCertificate, match="jitter"):
+            start_set_of(system, replace(drive, jitter=rational(0.1)), FILE_PHASE, ())
+        late = system.replace(implementation=replace(system.implementation, offset=0.0025))
+        with pytest.raises(NoCertificate, match="first sample"):
+            start_set_of(late, drive, FILE_PHASE, ())
+
+
+def test_the_premise_names_what_an_observer_estimates():
+    """Disturbances alone, whose states are measured; or all states, too."""
+    dob, eso = axis(), certrack.load("dual-motor-observer")
+    said = _covered(dob, dob.implementation).split("; ")
+    assert "what acts on x2 by the observer, which is part of the loop" in said
+    (said,) = (part for part in _covered(eso, eso.implementation).split("; ") if "observer" in part)
+    assert said.startswith(", ".join(eso.plant.states) + ", what acts on ")
 
 
 def test_the_premise_names_what_the_drive_has():

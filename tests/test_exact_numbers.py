@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 
@@ -18,9 +19,12 @@ from mpmath import mp
 
 import certrack
 from certrack.certificates import certify, certify_semidefinite, to_document, verify
+from certrack.certificates import start as start_room
+from certrack.certificates import stated as stated_room
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball, upper_rational
 from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import _smallest_eigenvalue, certify_published, collect
@@ -304,6 +308,27 @@ def test_the_reference_and_the_states_at_the_start_are_enclosed():
         assert len(x) == system.plant.n
 
 
+def test_a_start_that_no_ball_encloses_is_that_of_floats_and_unproven(monkeypatch):
+    """Of a plant with states of its own, and of a reference."""
+    base = certrack.load("dual-motor-physical")
+    system, same = (base.with_settings(x0=(0.1, 0.2, -0.3, 0.4, 0.5, -0.6)) for _ in range(2))
+    q = system.controller.coordinates.q
+    with ball_precision():
+        before = states_at_start(system)[0], reference_at_start(system, q)[0]
+
+        def refuse(formula, values):
+            raise ValueError("no rule")
+
+        monkeypatch.setattr(start_room, "enclosing_ball", refuse)
+        after = states_at_start(same), reference_at_start(same, q)
+    for exact, (balls, proven) in zip(before, after, strict=True):
+        assert not proven and len(balls) == len(exact) > 0
+        for ball, known in zip(balls, exact, strict=True):
+            value = float(known.mid())
+            assert float(ball.mid()) == pytest.approx(value, rel=1e-12, abs=1e-15)
+            assert float(ball.rad()) == pytest.approx(1e-9 * abs(value), rel=1e-6, abs=1e-24)
+
+
 BALLS = "sin(x) cos(x) tan(x) asin(x) acos(x) atan(x) sinh(x) cosh(x) tanh(x) exp(x) log(x) sqrt(x)"
 
 
@@ -486,6 +511,43 @@ def test_a_law_that_does_not_obey_what_it_states_has_no_certificate(name, law, r
     assert reason in found.semidefinite.reason
     assert not any(c.exists for c in (found.published, found.corrected, found.rate, found.cascade))
     assert found.critical_semidefinite == found.critical_published == 0
+
+
+@pytest.mark.parametrize("integral", [None, 4.0])
+def test_the_numbers_of_a_law_are_those_of_the_recursion_but_for_roundings(monkeypatch, integral):
+    """Relative to the largest of each group: 1e-10 is a rounding, 1e-8 another design."""
+    base = certrack.load("dual-motor-lean")
+    law = replace(base.law, integral=integral)
+    honest = stated_room.recursion
+
+    def apart(name, relative):
+        """The design with all numbers of a group off by a part of its largest."""
+
+        def recursion(*parts, **options):
+            design = honest(*parts, **options)
+            if name in ("column", "nu"):
+                old = getattr(design.integral, name)
+                part = replace(design.integral, **{name: old + relative * np.abs(old).max()})
+                return replace(design, integral=part)
+            old = getattr(design, name)
+            return replace(design, **{name: old + relative * np.abs(old).max()})
+
+        return recursion
+
+    groups = {"A": "A_n", "B": "B_n", "nu_x": "nu_x", "nu_Y": "nu_Y"}
+    groups |= {} if integral is None else {"column": "A_n0", "nu": "nu_0"}
+    for name, said in groups.items():
+        for relative in (1e-13, 1e-8):
+            system = base.replace(law=law)  # nothing is kept with another object
+            monkeypatch.setattr(stated_room, "recursion", apart(name, relative))
+            if relative < 1e-9:
+                assert stated_error_system(system, integral=True)
+            else:
+                with pytest.raises(NoCertificate, match=f"its {said} is not that of"):
+                    stated_error_system(system, integral=True)
+    if integral is not None:
+        with pytest.raises(NoCertificate, match=re.escape(stated_room.INTEGRAL_ACTION)):
+            stated_error_system(base.replace(law=law))
 
 
 def test_a_law_runs_with_the_subnormal_numbers_that_it_states():

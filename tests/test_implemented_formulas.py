@@ -3,27 +3,35 @@
 import math
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented.drive import DRIVE_BITS
-from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented import timing as timing_room
+from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
+from certrack.certificates.implemented.enclosed import Enclosed, widened
+from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     gains_of,
     kernel_columns,
     largest_of_each,
+    mean_magnitude,
     output_gains,
+    product_error,
+    running_period,
+    sums_over_time,
     tail_gains,
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.levels import Level, _still, reference_columns
-from certrack.certificates.implemented.outputs import InCell, Row, output_rows
+from certrack.certificates.implemented.levels import Level, _memories, _still, reference_columns
+from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
 from certrack.certificates.implemented.start import (
@@ -32,6 +40,13 @@ from certrack.certificates.implemented.start import (
     first_state,
     is_above,
     up,
+)
+from certrack.certificates.implemented.timing import (
+    TimedBounds,
+    _crosses,
+    _in_cell_pulse,
+    pulse_gains,
+    rate_rows,
 )
 from certrack.core.ball_matrices import column
 from certrack.core.expressions import parse, symbol
@@ -103,6 +118,25 @@ def test_what_is_seen_of_the_reference_by_levels_is_the_definition(q, phase, lip
         h = float(period.cells[0].length)
         assert found.lengths == pytest.approx([h, 0.0] * (phase - 1) + [h], rel=1e-15)
         assert found.curvature.shape == (period.size, 0)
+
+
+@pytest.mark.parametrize("q", [0, 1, 2])
+def test_memories_of_samples_of_what_is_wanted_repeat_themselves(q):
+    """s = Sx x_d + Ss s before + Sy: what was there a period before, of the Y of then."""
+    rng = np.random.default_rng(q)
+
+    def some(rows, columns):
+        return flint.arb_mat(rng.integers(-9, 9, (rows, columns)).tolist())
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        Sx, Ss, Sy, desired = some(2, 3), some(2, 2), some(2, q + 2), some(3, q + 1)
+        drive = SimpleNamespace(Sx=Sx, Ss=Ss, Sy=Sy, desired=desired, memories=2, q=q)
+        before = shift(q, -flint.fmpq(1, 10))
+        s = _memories(drive, before)
+        of_Y = flint.arb_mat([row[: q + 1] for row in Sy.tolist()])
+        left = s - (Sx * desired + Ss * (s * before) + of_Y)
+        assert (s.nrows(), s.ncols()) == (2, q + 1)
+        assert all(v.contains(0) and float(v.rad()) < 1e-20 for v in left.entries())
 
 
 def test_what_stands_still_of_a_level_is_its_difference_from_the_reference():
@@ -186,11 +220,75 @@ def test_columns_of_the_kernels_are_their_definitions(q, smeared):
         assert found.all().ncols() == width
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_what_a_cell_adds_is_its_taylor_series_and_a_remainder(degree):
+    """Of w the series of the kernel and what is beyond it; of x and u what is beyond it alone."""
+    h, q = Fraction(1, 5), 1
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([0, 1, 1], (1, 1), n=2)
+        derivatives = [flint.arb_mat([[1, 2]])]
+        for _ in range(degree + 1):
+            derivatives.append(derivatives[-1] * period.drive.A)
+        of_Y = [flint.arb(3), flint.arb(-5)]
+        found = _in_cell(period, flint.fmpq(1, 5), derivatives, of_Y, degree)
+    A, W, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0]), np.array([0.0, 1.0])
+    lines = [np.array([1.0, 2.0]) @ np.linalg.matrix_power(A, k) for k in range(degree + 2)]
+    step = [float(h**k / math.factorial(k)) for k in range(degree + 3)]
+    last = np.abs(lines[-1]) @ expm(np.abs(A) * float(h))
+    w = sum(abs(lines[k] @ W) * step[k + 1] for k in range(degree + 1))
+    assert [float(v) for v in found.w] == pytest.approx([w + last @ W * step[degree + 2]])
+    assert float(found.r) == pytest.approx(sum(v * step[q - j + 1] for j, v in enumerate((3, 5))))
+    assert [float(v) for v in found.x] == pytest.approx(last * step[degree + 1])
+    u = (abs(lines[degree] @ b) + last @ b * float(h)) * step[degree + 1]
+    assert float(found.u) == pytest.approx(u)
+
+
 def test_of_the_running_period_only_what_has_passed_is_seen():
     with flint.ctx.workprec(DRIVE_BITS):
         period = exact_period([1, 1, 1, 1], (1, 3))
         assert [len(kernel_columns(period, p, False).lengths) for p in range(4)] == [0, 1, 2, 3]
         assert kernel_columns(period, 0, False).nodes.ncols() == 2
+
+
+@pytest.mark.parametrize("q", [0, 2])
+def test_of_the_running_period_the_sample_is_an_input_by_itself(q):
+    """What moved since is not spread over the period; noise, sample and step count as they are."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, *range(2, q + 3)], (1, 2), n=2)
+        n, nw = period.drive.n, period.drive.W.ncols()
+        nothing = InCell((), flint.arb(0), (), flint.arb(0))
+        rng = np.random.default_rng(q)
+        rows = [
+            Row(0, phase, tuple(map(int, rng.integers(1, 9, period.size))), (), 0, nothing)
+            for phase in (1, 0, 1)
+        ]
+        table, before = running_period(period, rows)
+        assert table.shape == (3, nw + 1 + n + 3) and before.nrows() == 3
+        for i, row in enumerate(rows):
+            over = period.since_jump(row.phase)
+            line = flint.arb_mat([list(row.row)])
+
+            def seen(matrix, line=line):
+                return np.array([[float(v.mid()) for v in r] for r in (line * matrix).tolist()])[0]
+
+            ends = [
+                seen(-(matrix * (period.Pi[p] * gamma(q, flint.fmpq(0)))))[0]
+                for matrix, p in zip(over, range(row.phase, -1, -1), strict=True)
+            ]
+            lengths = [float(period.cells[p].length) for p in range(row.phase - 1, -1, -1)]
+            pairs = zip(ends[:-1], ends[1:], lengths, strict=True)
+            moved = sum(h * float(mean_magnitude(np.array(a), np.array(b))) for a, b, h in pairs)
+            for h, matrix, p in zip(lengths, over, range(row.phase, 0, -1), strict=False):
+                for j in range(q - 1):
+                    weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
+                    moved += weight * abs(seen(matrix * column(period.Pi[p], j))[0])
+            noise = np.abs(seen(over[-1] * period.noise))
+            (last,) = np.abs(seen(over[-1] * column(period.reference, q + 1)))
+            (step,) = np.abs(seen(over[-1] * period.step))
+            expected = np.array([moved, *noise, 0.0, step, last])
+            assert last > 0
+            assert table[i, nw:] == pytest.approx(expected, rel=1e-12)
+            assert (table[i, nw:] >= expected * (1 - 1e-15)).all()
 
 
 @pytest.mark.parametrize("n", [1, 2])
@@ -209,8 +307,55 @@ def test_jumps_add_up_once_in_so_many_periods(n):
         assert found.jump[first] == pytest.approx(weight / (1 - a**3), rel=1e-6)
         assert found.jump[first] >= weight / (1 - a**3) * (1 - 1e-12)
         assert found.sample[first] == pytest.approx(1 / n, rel=1e-6)
+        assert found.step[first] == pytest.approx(1 / n, rel=1e-6)  # the converter's acts as well
+        steps = [float(v.mid()) for v in period.step.entries()]
+        assert steps == [float(i == period.command) for i in range(period.size)]
         without = output_gains(exact_period([0, 1], (1, 1), n=n), rows, 8)
         assert (without.jump == 0).all()
+
+
+def test_sums_over_periods_are_lines_between_the_cells_and_magnitudes():
+    """With what all numbers may be off by: half of both ends' errors on a line, all on others."""
+    rng = np.random.default_rng(5)
+    lengths, width, others = np.array([0.5, 0.25, 2.0]), 2, 7
+    rows, periods, split = 3, 4, 4 * width
+    columns = SimpleNamespace(lengths=lengths, nodes=flint.arb_mat(1, split))
+    values = rng.uniform(-1, 1, (rows, periods, split + others))
+    error = rng.uniform(0, 0.1, (rows, split + others))
+    found = sums_over_time(columns, values, error)
+    expected = np.zeros((rows, width + others))
+    for i in range(rows):
+        for w in range(width):
+            for c, h in enumerate(lengths):
+                a, b = c * width + w, (c + 1) * width + w
+                expected[i, w] += h * (error[i, a] + error[i, b]) / 2
+                for p in range(periods):
+                    line = np.linspace(values[i, p, a], values[i, p, b], 40_001)
+                    expected[i, w] += h * float(np.trapezoid(np.abs(line), dx=1 / 40_000))
+        expected[i, width:] = np.abs(values[i, :, split:]).sum(axis=0) + error[i, split:]
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+def test_products_of_tables_are_off_by_no_more_than_is_counted():
+    """Sum over all periods; each part of the error is there at its full size, none twice."""
+    rng = np.random.default_rng(6)
+    blocks, count, size, block, width = 3, 2, 4, 5, 2
+    heads = Enclosed(*rng.uniform(0.5, 1, (2, blocks * count, size)))
+    table = Enclosed(*rng.uniform(0.5, 1, (2, size, block * width)))
+    found = product_error(heads, table, count, block)
+    worst = np.zeros((count, width))
+    for b in range(blocks):
+        head, off = (v[b * count : (b + 1) * count] for v in (heads.value, heads.error))
+        for k in range(block):
+            entry, apart = (v[:, k * width : (k + 1) * width] for v in (table.value, table.error))
+            worst += (head + off) @ (entry + apart) - head @ entry
+    assert (found >= worst).all() and found == pytest.approx(worst, rel=1e-12)
+    exact = replace(heads, error=0 * heads.error), replace(table, error=0 * table.error)
+    sizes = heads.value.reshape(blocks, count, size).sum(axis=0)
+    sizes = sizes @ table.value.reshape(size, block, width).sum(axis=1)
+    least, most = (2 * (size + more) * 2.0**-53 * sizes for more in (0, 8))
+    rounding = product_error(*exact, count, block)
+    assert (rounding > least).all() and (rounding < most).all()
 
 
 def test_the_largest_of_each_group():
@@ -363,3 +508,132 @@ def test_polynomials_move_by_their_shift():
     ]
     assert [float(v) for v in moved.entries()] == pytest.approx([float(v) for v in expected])
     assert [float(v) for v in gamma(q, t).entries()] == pytest.approx([1 / 48, 1 / 8, 1 / 2, 1])
+
+
+# Jitter -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_pulse_counts_with_its_largest_effect_in_every_period(n, cells):
+    """|lambda(s) b| at the cells' ends, and h^2/8 |lambda| e^{|A| h} |A^2 b| for what lies between.
+
+    The loop without feedback: lambda is that of x' = A x. The period that runs counts, too.
+    """
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, cells), n=n)
+        rows = output_rows(period)
+        found = pulse_gains(period, rows, 8)
+    A, b = np.array([[-1.0]]), np.array([1.0])
+    if n == 2:
+        A, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0])
+    h = 0.1 / cells
+    inner = expm(np.abs(A) * h) @ np.abs(A @ A @ b) * h**2 / 8
+    bend = np.max([np.abs(expm(A * h * k)) @ inner for k in range(cells)], axis=0)
+
+    def largest(line, ends):
+        nodes = [abs(line @ expm(A * h * k) @ b) for k in range(ends + 1)]
+        return max(nodes) + np.abs(line) @ bend
+
+    for row, value in zip(rows, found, strict=True):
+        line = np.array([float(v) for v in row.row[:n]])
+        old = line @ expm(A * h * row.phase)
+        expected = largest(line, row.phase) if row.phase else 0.0
+        for k in range(300):
+            expected += largest(old @ expm(A * 0.1 * k), cells)
+        small = [np.abs(expm(A * h * k)) @ inner for k in range(row.phase)]
+        if row.phase:  # of the cells that have passed only
+            expected += np.abs(line) @ (np.max(small, axis=0) - bend)
+        assert value >= expected * (1 - 1e-12) and value == pytest.approx(expected, rel=1e-9)
+
+
+def test_sums_of_pulses_count_a_rounding_for_each_of_their_terms(monkeypatch):
+    """Of a block of periods, of all blocks, and of the period that runs."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(timing_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, 3))
+        pulse_gains(period, output_rows(period), 7)
+    block, blocks, size, ends = 8, 16, period.size, 4
+    assert len(counts) == blocks + 3
+    assert min(counts[:blocks]) >= block + size
+    assert counts[blocks] >= blocks + size + ends
+    assert counts[blocks + 1] >= size and counts[-1] >= 2
+
+
+def test_what_a_pulse_does_within_a_cell():
+    """Of every state, and of its rate."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1], (1, 2), n=2)
+        still, moving = _in_cell_pulse(period, flint.fmpq(1, 20))
+    A, b = np.array([[-1.0, 1.0], [0.0, -2.0]]), np.array([0.0, 1.0])
+    growth = expm(np.abs(A) / 20)
+    assert [float(v) for v in still] == pytest.approx(growth @ np.abs(b), rel=1e-12)
+    assert [float(v) for v in moving] == pytest.approx(growth @ np.abs(A @ b), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("delay", "jitter", "crosses"),
+    [
+        ("0", "0", False),
+        ("0", "0.1", True),
+        ("0.05", "0.1", True),
+        ("0.1", "0.1", False),
+        ("0.5", "0.2", False),
+        ("0.9", "0.1", False),
+        ("0.95", "0.1", True),
+        ("1.05", "0.1", True),
+        ("2.5", "0.4", False),
+    ],
+)
+def test_windows_that_reach_into_another_period(delay, jitter, crosses):
+    drive = exact_period([1, 1], (1, 1)).drive
+    exact = {"delay": rational(delay), "jitter": rational(jitter)}
+    assert _crosses(replace(drive, **exact)) is crosses
+
+
+@pytest.mark.parametrize("delay", ["0.5", "0"])
+def test_jitter_adds_what_moves_within_it(delay):
+    """j T times pulses and rates; rates have |b| DU and |W| w at once, u and its steps no cell."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = exact_period([1, 1], (1, 1), n=2).drive
+        one, zero = rational(1.0), rational(0.0)
+        both = UncertainBound(zero, one, (one, one), (zero, zero))
+        drive = replace(drive, delay=rational(delay), jitter=rational("0.25"), uncertain=(both,))
+        period = one_period(drive, (1, 1))
+        rows = output_rows(period) + rate_rows(period)
+        bounds = OutputBounds.of(period, rows, output_gains(period, rows, 8))
+        timed, pulses = TimedBounds.of(period, rows, bounds, 8), pulse_gains(period, rows, 8)
+        cells = [_in_cell_pulse(period, cell.length) for cell in period.cells]
+        windows = 2 if delay == "0" else 1
+        assert timed.count == 7 and {row.output for row in rows} == set(range(7))
+        for i, row in enumerate(rows):
+            held, at_once, direct = pulses[i], 0.0, 0.0
+            still, moving = cells[row.phase]
+            if row.output in (0, 1, 2):
+                held += windows * float(still[max(row.output - 1, 0)])
+            if row.output >= 5:
+                state = row.output - 5
+                held += windows * float(moving[state])
+                at_once, direct = (0.0, 1.0)[state], (0.0, 1.0)[state]
+            assert float(timed.by_step[i]) == pytest.approx(0.025 * held + at_once, rel=1e-12)
+            assert [float(v) for v in timed.direct[i]] == [direct]
+            noise = 0.025 * bounds.gains.noise[i]
+            assert [float(v) for v in timed.by_rate[i]] == pytest.approx(noise, rel=1e-12)
+        image = timed.image([1, 2], 3, 0.5, [4, 5])
+        noise = np.array(timed.by_rate, dtype=float) @ [4, 5]
+        w = np.array(bounds.w[:, 0] + timed.direct[:, 0], dtype=float)  # |w| <= 1
+        values = np.array(bounds.constant, dtype=float) + w + noise
+        values += np.array(bounds.x, dtype=float) @ [1, 2] + 3 * np.array(bounds.u, dtype=float)
+        values += 0.5 * np.array(timed.by_step, dtype=float)
+        largest = [max(values[bounds.outputs == k]) for k in range(7)]
+        assert [float(v) for v in image] == pytest.approx(largest, rel=1e-9)
+        v = timed.search()
+        entries = [flint.arb(x) for x in v]
+        after = timed.image(entries[:2], entries[2], entries[3], entries[4:])
+        assert all(float(a) < b <= float(a) * 1.01 for a, b in zip(after[1:], v, strict=True))

@@ -14,6 +14,7 @@ from certrack.certificates import input_bounds as room
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text, root_up
+from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.input_bounds import (
     InputBound,
     InputBounds,
@@ -26,6 +27,7 @@ from certrack.certificates.input_program import InputProgram
 from certrack.certificates.mean_squares import RUN_PARTS, mean_squares
 from certrack.certificates.semidefinite import fastest_rate
 from certrack.certificates.start import starting_energy
+from certrack.certificates.state_bounds import certify_state, state_problem
 from certrack.certificates.tube import starts_of
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
@@ -411,3 +413,66 @@ def test_a_reference_that_rests_at_its_bound_has_a_mean_of_one():
     assert len(shares) == 3
     assert float(shares[0]) == pytest.approx(1, rel=1e-9)
     assert shares[1] == shares[2] == 1
+
+
+# States -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("q", [0, 1])
+@pytest.mark.parametrize("i", [0, 1])
+def test_a_state_is_a_row_over_errors_and_reference(q, i):
+    """x = A^-1 (e + B Y), with each y_j scaled to its bound; the last derivative is not in it."""
+    system = plain(q)
+    found, design = state_problem(system, i), error_coordinates(system, rational)
+    e = [Fraction(3, 7), Fraction(-2, 5)]
+    y = [Fraction(k + 1, 9) for k in range(q + 1)]
+    A, B = design.A.astype(float), design.B.astype(float)
+    x = np.linalg.solve(A, np.array(e, float) + B @ np.array(y, float))
+    bounds = [0.2 * 2**k for k in range(q + 2)]  # of 0.2 sin(2 t)
+    row, through = found.row.astype(float), found.through_y.astype(float)
+    scaled = np.array(y, dtype=float) / bounds[:-1]
+    assert row @ np.array(e, float) + through[:-1] @ scaled == pytest.approx(x[i])
+    assert through[-1] == 0 and found.constant == 0 and len(through) == q + 2
+    assert found.problem.counts[2] >= error_problem(system, rational).counts[2]
+    assert list(found.problem.derivatives) == list(range(q + 2))
+
+
+def test_a_state_of_one_integrator_is_the_error_and_the_reference():
+    """e' = -c e + w, |w| <= 0.3: limsup |x| <= 0.3/c + Y_0, and no less."""
+    system = certrack.loads(
+        """
+[plant]
+states = ["x1"]
+chain = []
+drift = "0"
+gain_sign = 1
+input_gain = 1
+[plant.uncertainty]
+tau = [1]
+gamma = [0]
+beta = [0.3]
+[truth]
+input_gain = 1
+omega = ["0"]
+[reference]
+signal = "0.2*sin(2*t)"
+[law]
+kind = "robust"
+c = [3]
+[simulation]
+x0 = [0]
+duration = 10
+"""
+    )
+    bound = float(certify_state(system, 0).bound)
+    assert 0.3 / 3 + 0.2 <= bound <= 1.001 * (0.3 / 3 + 0.2)
+
+
+def test_laws_whose_states_have_no_such_bound_say_so():
+    with pytest.raises(NoCertificate, match="known parameters only"):
+        state_problem(certrack.load("example1"), 0)
+    moving = certrack.loads(
+        SHIFTED.replace("[law]", '[law.online]\nc = [3, 4]\nschedule = "0.5"\n[law]')
+    )
+    with pytest.raises(NoCertificate, match="law.online moves them"):
+        state_problem(moving, 0)

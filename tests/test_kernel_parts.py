@@ -20,7 +20,6 @@ from certrack.certificates.ranges.kernels import (
     PRECISION,
     SMALL,
     UNDERFLOW,
-    UNIT,
     _block,
     _doublings,
     _roots,
@@ -31,7 +30,9 @@ from certrack.certificates.ranges.kernels import (
     proven_decay,
     rounded,
 )
-from certrack.certificates.ranges.peak import _responses
+from certrack.certificates.ranges.peak import TOO_MUCH_GAIN, UNBOUNDED, _bound, _responses
+
+UNIT = np.finfo(float).eps / 2  # what a float loses at most, not what the module takes it for
 
 
 def exact(rows):
@@ -97,6 +98,7 @@ def test_products_and_what_their_roundings_are_below():
 
 
 def test_balls_become_floats_if_they_are_narrow():
+    assert UNIT == kernels.UNIT  # as 1 + UNIT is 1 and 1 + 2 UNIT is not
     with flint.ctx.workprec(PRECISION):
         third = flint.arb(1) / 3
         found = rounded(flint.arb_mat([[third, 0, flint.arb(0, 1e-41)]]))
@@ -229,3 +231,26 @@ def test_what_a_block_of_cells_is_told(monkeypatch, rate):
         assert curvature == pytest.approx(bend, rel=1e-9, abs=0)
         t += h * CELLS
     assert len(told) > 1 and 2 * math.exp(-rate * t) / rate < 1e-8
+
+
+def test_a_fixed_point_is_above_that_of_the_loop_and_near():
+    """v = c + G v; the first entry, the error, acts on no other, whatever it is."""
+    constant = np.array([2.0, 1.0, 3.0])
+    assert 2.0 < _bound(lambda v: constant[:1], 1) <= 2.0 * (1 + 1e-11)
+    for gain in (0.0, 0.1, 0.9, 0.95):
+        G = np.array([[0.0, 7.0, 5.0], [0.0, gain, 0.2], [0.0, 0.0, gain]])
+        known = np.linalg.solve(np.eye(3) - G, constant)[0]
+        assert known < _bound(lambda v, G=G: constant + G @ v, 3) <= known * (1 + 1e-7)
+    assert 50 < _bound(lambda v: 1 + 0.98 * v, 2) <= 50 * (1 + 1e-7)
+    for beyond in (1.0, 2.0):  # what the image is cut off at is no bound
+        at_the_limit = iter([np.array([0.5 * UNBOUNDED, 1.0])] * 2)
+        cut = np.array([beyond * UNBOUNDED, 1.0])
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, it=at_the_limit, cut=cut: next(it, cut), 2)
+    for gain in (1.0, 1.5):
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, gain=gain: np.minimum(1 + gain * v, UNBOUNDED), 2)
+    assert _bound(lambda v: 0.5 * v, 3) < 1e-250  # where nothing acts
+    for high in (UNBOUNDED, 2 * UNBOUNDED):
+        with pytest.raises(NoCertificate, match=TOO_MUCH_GAIN):
+            _bound(lambda v, high=high: np.array([high, 1.0]), 2)

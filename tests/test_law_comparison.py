@@ -18,6 +18,7 @@ from certrack.model.implementation import Implementation
 from certrack.plotting.law_comparison import law_comparison_figure
 from certrack.reports.law_comparison import law_notes, law_table
 from certrack.tuning.comparison import compare_laws as comparison_module
+from certrack.tuning.comparison import known_gains
 from certrack.tuning.comparison.compare_laws import (
     AS_STATED,
     NOTHING_FOUND,
@@ -210,6 +211,15 @@ def test_a_bad_file_of_gains_is_one_line(text, message, tmp_path, capsys):
         main(["compare", "example1", "--gains", str(file)])
     error = capsys.readouterr().err.strip().splitlines()
     assert end.value.code == 2 and message in error[-1]
+
+
+def test_of_a_file_of_gains_that_is_too_large_that_is_said(tmp_path, monkeypatch):
+    file = tmp_path / "gains.json"
+    file.write_text(gains_text())
+    read_gains(file, AS_STATED)
+    monkeypatch.setattr(known_gains, "LARGEST_GAINS_FILE", 10)
+    with pytest.raises(certrack.InputError, match="is too large for a file of gains$"):
+        read_gains(file, AS_STATED)
 
 
 def test_a_search_and_known_gains_exclude_each_other(tmp_path):

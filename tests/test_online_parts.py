@@ -31,7 +31,7 @@ from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.certificates.stated import first_end_system, other_end_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.laws.online import LEVEL, Online, other_end, within_unit
+from certrack.laws.online import LEVEL, Online, _is_diagonal, other_end, within_unit
 
 RATE = 2.0
 SOLUTION = RateSolution(1.0, (), (), (), 0.5)
@@ -675,6 +675,11 @@ def test_what_another_end_says_replaces_what_the_law_says():
     assert (kept.K, kept.r, kept.lqr) == (faster, 2.0, None)
     only = other_end(replace(still, online=Online(r=2.0, **RULE)))
     assert (only.K, only.r) == (still.K, 2.0)
+
+
+def test_a_diagonal_is_written_as_one_number_per_regressor():
+    assert _is_diagonal(None) and _is_diagonal(()) and _is_diagonal((1.0, 2.0))
+    assert not _is_diagonal(((1.0, 0.0), (0.0, 2.0)))
 
 
 def test_messages_name_the_keys_of_the_other_end():

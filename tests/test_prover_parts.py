@@ -280,6 +280,15 @@ def test_the_tube_of_a_box_is_the_widest_of_its_points(monkeypatch, verified):
     assert asked[1:] == [("a", "x", starts), ("b", "y", starts), ("c", "z", starts)]
 
 
+def test_the_tube_of_a_box_with_one_point_is_that_point_s(monkeypatch):
+    made = SimpleNamespace(problems=lambda cell: ["a"])
+    monkeypatch.setattr(tube, "prover_of", lambda system, count: made)
+    monkeypatch.setattr(tube, "starts_of", lambda system, box: ((), True))
+    monkeypatch.setattr(tube, "single_stage", lambda *parts: (4.0, 1.0, 0.5))
+    found = tube.range_tube("system", CellProof((("1", "1"),), "1", ("x",)))
+    assert (found.start, found.floor, found.alpha) == (4.0, 1.0, 0.5)
+
+
 @pytest.mark.parametrize(
     ("delta", "alpha", "bound"), [(4.0, 2.0, 2.0), (1.5, 3.0, 1.0), (-1, 2, 0)]
 )

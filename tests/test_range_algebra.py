@@ -384,6 +384,21 @@ def test_a_loop_on_the_edge_of_stability_is_not_stable_at_its_corners():
     assert stable_at_corners(prover, box)
 
 
+def test_cells_are_cut_relative_to_the_width_of_the_box():
+    """Not to the size of the constants: one between 10 and 11 is cut as one between 0 and 1 is."""
+    box = ((0.0, 1.0), (10.0, 11.0))
+    bounds = {}
+
+    def bound(cell):
+        bounds[cell] = max(float(high - low) for low, high in cell)
+        return bounds[cell]
+
+    cells = divided(box, bound, 4, 0.0, lambda _: None)
+    quarters = [((a, a + 0.5), (b, b + 0.5)) for a in (0.0, 0.5) for b in (10.0, 10.5)]
+    assert sorted(cells) == quarters
+    assert sorted(coarsest(box, bounds, 0.5)) == quarters
+
+
 def test_a_search_begins_with_the_cells_of_another():
     """A cell with no bound, or too large a one, is not asked for again."""
     asked = []

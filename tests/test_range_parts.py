@@ -19,6 +19,7 @@ import certrack
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.ranges import strength
 from certrack.certificates.ranges.boxes import (
     closed,
     forbidden,
@@ -30,8 +31,9 @@ from certrack.certificates.ranges.boxes import (
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.coefficients import Coefficients, _parts, largest_brackets
 from certrack.certificates.ranges.costs import costs
-from certrack.certificates.ranges.edges import _decimal
+from certrack.certificates.ranges.edges import Edge, _decimal, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
+from certrack.certificates.ranges.formulas import OpenFormulas
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
 from certrack.certificates.ranges.proofs import (
@@ -45,6 +47,8 @@ from certrack.certificates.ranges.proofs import (
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
 from certrack.certificates.ranges.sectors import sector_of
 from certrack.certificates.ranges.strength import NO_PROOF, _Search, critical_ranges
+from certrack.certificates.ranges.vertices import ProblemMaker, VertexProgram, prove_vertices
+from certrack.certificates.semidefinite import best_solution
 
 A_ONLY = re.sub(r"input_gain = \[4.*|theta = \[\[.*", "", FIRST_ORDER)
 
@@ -106,7 +110,10 @@ def test_a_range_through_which_the_loop_is_unstable_has_no_bound():
     loop = first_order()
     with pytest.raises(NoCertificate, match="not below 1"):
         peak_of(loop, ((exact("-4.5"), exact("9.5")),))
-    assert peak_of(loop, ((exact("-3.8"), exact("8.8")),)) > 8.9
+    for half in ("6.3", "6.8"):  # a gain of 0.9 and of 0.97
+        known = float(half) / (7 - float(half))
+        box = ((exact("2.5") - exact(half), exact("2.5") + exact(half)),)
+        assert known <= peak_of(loop, box) <= known * (1 + 1e-6)
     with pytest.raises(NoCertificate, match="not stable"):
         peak_of(loop, ((exact("-4.6"), exact("-4.6")),))
 
@@ -145,6 +152,14 @@ def test_an_entry_is_the_sum_of_its_parts(text):
     for function, _ in parts:  # a number before it would be another function
         top, bottom = sympy.fraction(sympy.cancel(function))
         assert sympy.LC(top, *symbols) == 1 and sympy.Poly(bottom, *symbols).content() == 1
+
+
+def test_terms_of_a_law_that_estimates_are_those_of_the_drift_alone():
+    system = certrack.loads(FIRST_ORDER)
+    known, estimated = (OpenFormulas(system, flag).terms() for flag in (False, True))
+    (x,), (a, _, theta) = system.plant.symbols, OpenFormulas(system, False).symbols
+    assert estimated == {x: -a} and list(known) == [x]
+    assert sympy.expand(known[x] - (theta - a)) == 0
 
 
 def test_the_largest_bracket_of_a_box():
@@ -583,6 +598,49 @@ def test_texts_of_cells_are_fractions():
 # how far ranges may grow
 
 
+def searched(limit, **options):
+    """The edge of what holds up to a limit, and the scales that were tried."""
+    tried = []
+
+    def find(scale):
+        tried.append(float(scale))
+        return "beyond" if tried[-1] > limit else tried[-1]
+
+    return largest_scale(find, **options), tried
+
+
+@pytest.mark.parametrize("limit", [1e-5, 0.0625, 0.1, 0.9, 1.0, 1.7, 150.0, 3e6])
+@pytest.mark.parametrize("known", [None, 1.0])
+def test_the_edge_of_what_holds_is_below_it_and_near(limit, known):
+    edge, tried = searched(limit, known=known if limit >= 1 else None)
+    assert limit / 1.0011 <= float(edge.scale) <= limit and not edge.unlimited
+    assert edge.result == float(edge.scale) and edge.reason == "beyond"
+    assert (1.0 in tried) == (known is None or limit < 1)
+    assert all(len(f"{scale:.12f}".strip("0.").replace(".", "")) <= 5 for scale in tried)
+    coarse, fewer = searched(limit, known=known if limit >= 1 else None, accuracy=0.2)
+    assert limit / 1.21 <= float(coarse.scale) <= limit and len(fewer) < len(tried)
+
+
+def test_scales_fall_faster_and_faster_until_one_holds():
+    assert searched(0.1)[1][:3] == [1.0, 0.25, 0.0625]
+    assert searched(0.01, fall=1.5)[1][:5] == [1.0, 0.66666, 0.29629, 0.074074, 0.018518]
+    assert searched(0.5, fall=1.002, begin=0.8)[1][:4] == [0.8, 0.7984, 0.79521, 0.78888]
+    edge, tried = searched(0.0)
+    assert edge == Edge("0", None, "beyond") and tried == [
+        pytest.approx(0.25**k, rel=1e-4) for k in range(10)
+    ]
+
+
+def test_scales_rise_until_nothing_holds_or_nobody_asks_for_more():
+    edge, tried = searched(math.inf)
+    assert edge == Edge("1000000000", 1e9, "", unlimited=True)
+    assert tried == [1, 2, 4, 8, 16, 32, 64, 128, 1e9]
+    edge, tried = searched(math.inf, known=3.0, begin=3.0)
+    assert edge.unlimited and edge.result == 1e9
+    assert tried == [6, 12, 24, 48, 96, 192, 384, 1e9]
+    assert searched(math.inf, begin=2e9)[0].unlimited
+
+
 class Holding:
     """A prover of FIRST_ORDER whose cells hold up to a width."""
 
@@ -610,10 +668,34 @@ def test_ranges_may_grow_until_nothing_holds(widest, scale):
     assert critical_ranges(Holding(1e-12), cells=False, known=False).scale == 0
 
 
+def test_a_search_tells_how_many_scales_were_tried():
+    told = []
+    critical_ranges(Holding(0.3), cells=False, known=False, progress=lambda *all: told.append(all))
+    assert len(told) > 5 and told == [(k, None, None) for k in range(len(told))]
+
+
+@pytest.mark.parametrize("uncertainty", ["tau = [2]\ngamma = [0.4]\nbeta = [0.3]"])
+def test_what_the_program_of_a_hull_finds_is_what_is_proven(uncertainty):
+    """Its Delta is the largest cost of all points, and each has multipliers of its own."""
+    loop = first_order(uncertainty, signal="1.5*sin(t)")
+    exact_problems = ProblemMaker(loop).at_points(loop.box, None)
+    program = VertexProgram([problem.in_floats() for problem in exact_problems])
+    solution = best_solution(program)
+    costs = [float(nu.sum() + k.sum()) for _, nu, k in solution.multipliers]
+    assert len(costs) == 2 and costs[0] != costs[1]
+    assert solution.delta == pytest.approx(max(costs), rel=1e-5)
+    stages = prove_vertices(exact_problems, solution)
+    bounds = {float(stage.bound) for stage in stages}
+    assert len(stages) == 2 and len(bounds) == 1
+    assert solution.bound == pytest.approx(bounds.pop(), rel=1e-4)
+    assert not program.solve(1.001 * program.fastest)
+
+
 def test_a_proof_at_scale_1_is_not_lost():
     assert critical_ranges(Holding(0.5, 4.0), cells=False, known=True).scale == 1.0
     assert critical_ranges(Holding(3.0, 4.0), cells=False, known=True).scale >= 3 / 1.03
     assert critical_ranges(Holding(0.5, 4.0), cells=False, known=False).scale <= 0.5
+    assert 1.45 < critical_ranges(Holding(1.5, 4.0), cells=False, known=True).scale <= 1.5
 
 
 def test_a_search_is_limited_by_stability_and_by_cells():
@@ -629,6 +711,16 @@ def test_a_search_is_limited_by_stability_and_by_cells():
     assert len(parts) == 2 and cells_fill(parts, scaled(cut._prover.loop, exact(2)))
     with pytest.raises(NoCertificate, match=NO_PROOF):
         _Search(Holding(1e-9), cells=True).parts(Holding(1e-9).holds, exact(1))
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_a_search_has_so_many_cells_at_most(monkeypatch, count):
+    monkeypatch.setattr(strength, "PROVABLE_CELLS", count)
+    prover = Holding(1.0 / count)
+    assert len(_Search(prover, cells=True).parts(prover.holds, exact(1))) == count
+    monkeypatch.setattr(strength, "PROVABLE_CELLS", count - 1)
+    with pytest.raises(NoCertificate, match=NO_PROOF):
+        _Search(prover, cells=True).parts(prover.holds, exact(1))
 
 
 def test_forms_at_two_points_of_a_range():
@@ -649,3 +741,4 @@ def test_what_takes_longer_is_made_where_it_is_asked_for():
     ):
         assert all(signature(verb).parameters[name].default is False for name in options), verb
     assert signature(certify_ranges).parameters["effort"].default == "default"
+    assert signature(bound_ranges).parameters["enough"].default == 0  # goes on as far as it can

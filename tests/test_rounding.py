@@ -75,6 +75,20 @@ def test_root_up_is_never_below_the_root():
     assert root_up(flint.fmpq(0)) == "0"
 
 
+def test_root_up_has_twelve_digits_and_no_less():
+    """It is at most a unit of the twelfth above the root, whatever the digits of its square."""
+    squares = [Fraction(2**a, 2**b - 1) for a in range(1, 140, 3) for b in range(1, 70, 5)]
+    squares += [Fraction(2**b + 1, 2**a) for a in range(1, 140, 9) for b in range(1, 70, 5)]
+    squares += [Fraction(10) ** k + d for k in range(-12, 13) for d in (0, Fraction(1, 10**40))]
+    for square in squares:
+        text = root_up(flint.fmpq(square.numerator, square.denominator))
+        digits, _, places = text.partition("e")
+        unit = Fraction(10) ** int(places)
+        root = Fraction(text)
+        assert (root - unit) ** 2 <= square < root**2
+        assert 10**12 < int(digits) <= 10**13
+
+
 def test_round_up_makes_good_what_float_addition_loses():
     pairs = list(product(DECIMALS, DECIMALS[::7]))
     lost = [pair for pair in pairs if exactly(sum(map(float, pair))) < sum(map(Fraction, pair))]

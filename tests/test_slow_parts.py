@@ -10,9 +10,20 @@ from test_slow_signals import loop
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import rate_premise, step_search
 from certrack.certificates.implemented import slow as slow_terms
-from certrack.certificates.implemented.drive import DRIVE_BITS
-from certrack.certificates.implemented.slow import SlowTerms, StepResponses, as_function
-from certrack.certificates.implemented.superposition import speeds_of_states
+from certrack.certificates.implemented.drive import DRIVE_BITS, SlowBound
+from certrack.certificates.implemented.slow import (
+    SlowTerms,
+    StepResponses,
+    as_function,
+    needs_rates,
+    slow_columns,
+)
+from certrack.certificates.implemented.superposition import (
+    SplitLoop,
+    _may_split,
+    is_split,
+    speeds_of_states,
+)
 from certrack.certificates.premise import ASSUMED, PROVEN
 
 
@@ -285,3 +296,67 @@ def test_a_rate_is_stated_in_words_and_proven_of_nothing():
         "jumps of at most 3, at least 0.25 s apart, and a part of at most 0.1 of any speed, "
         "without which w_1 stays so much below its bound"
     )
+
+
+def slow_bound(*by_states, dwell=None):
+    return SlowBound(rate=1, by_states=by_states, jump=0, dwell=dwell, fast=0)
+
+
+def driven(*slow, jitter=0, channels=(), growing=None):
+    """A drive of which only is known how fast its terms are."""
+    bounds = tuple(SimpleNamespace(slow=entry, growing=growing) for entry in slow)
+    return SimpleNamespace(jitter=jitter, channels=channels, uncertain=bounds)
+
+
+STILL, BY_STATES, JUMPING = slow_bound(0, 0), slow_bound(0, 1), slow_bound(1, 0, dwell=2)
+
+
+def test_rates_count_where_they_are_known_and_times_are_exact():
+    assert slow_columns(driven(STILL, None, BY_STATES)) == [0, 2]
+    assert slow_columns(driven(STILL, jitter=0.1)) == []
+    assert slow_columns(driven(STILL, channels=("c",))) == []
+
+
+@pytest.mark.parametrize(
+    ("slow", "needed"),
+    [
+        ((), False),
+        ((None,), False),
+        ((STILL, STILL), False),
+        ((STILL, BY_STATES), True),
+        ((BY_STATES, STILL, None), True),
+        ((BY_STATES, JUMPING), True),
+    ],
+)
+def test_one_term_that_follows_the_states_needs_their_rates(slow, needed):
+    assert needs_rates(driven(*slow)) is needed
+    assert not needs_rates(driven(*slow, jitter=0.1))
+
+
+def test_terms_of_the_states_without_jumps_are_split():
+    kinds = [None, STILL, BY_STATES, JUMPING]
+    split = [is_split(SimpleNamespace(slow=slow)) for slow in kinds]
+    assert split == [False, False, True, False]
+    for slow, may in (((STILL, BY_STATES), True), ((STILL, JUMPING), False), ((), False)):
+        assert _may_split(SimpleNamespace(drive=driven(*slow))) is may
+    formula = driven(BY_STATES, STILL, growing="a formula")
+    assert not _may_split(SimpleNamespace(drive=formula))
+
+
+def test_a_part_of_the_loop_is_driven_as_the_whole_is():
+    """By its constants, its terms, its states and its input; its rows are those of x and u."""
+    asked = []
+
+    class Bounds:
+        drive = SimpleNamespace(n=2)
+
+        def values(self, *parts):
+            asked.append(parts)
+            return "values"
+
+        def largest(self, values, outputs):
+            return values, list(outputs)
+
+    loop = SplitLoop(Bounds(), (7, 8), "sensors", "others")
+    assert loop._image("constant", "sizes", [1, 2, 3]) == ("values", [1, 2, 3])
+    assert asked == [("constant", "sizes", [1, 2], 3)]

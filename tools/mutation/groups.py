@@ -44,29 +44,32 @@ GROUPS = {
         "certificates certificate_formulas certificate_parts published_formulas certificate_data"
         " certify_parts certificate_layout size_majorants exact_checks rounding bounds peak tube"
         " independent_checker tube_parts error_problem premises truth strength exact_numbers"
-        " false_claims forged_claims input_bounds input_parts",
+        " false_claims forged_claims input_bounds input_parts level_set verdicts",
     ),
     "input-bounds": Group(
         "certificates/input_* certificates/mean_squares", "input_bounds input_parts"
     ),
     "online": Group("certificates/online/* laws/online", "online online_parts seeking"),
-    "bootstrap": Group("certificates/bootstrap/*", "bootstrap polynomials bootstrap_parts"),
+    "bootstrap": Group(
+        "certificates/bootstrap/*", "bootstrap polynomials bootstrap_parts certificate_layout"
+    ),
     "ranges": Group(
         "certificates/ranges/*",
         "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
-        " sectors strength peak estimates range_tubes",
+        " sectors strength peak estimates range_tubes exact_checks",
     ),
     "implemented": Group(
         "certificates/implemented/*",
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
         " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
-        " slow_signals slow_parts slow_split fixed_point_parts implemented_conditions start_parts",
+        " slow_signals slow_parts slow_split fixed_point_parts implemented_conditions start_parts"
+        " certificate_layout regional_parts",
     ),
     "references": Group(
         "references/*",
         "references reference_parts reference_keys reference_members growth taylor bound_search"
         " testing bounds premises simulation time_events units lipschitz soft_start samples_file"
-        " moves profiles",
+        " moves profiles extremes",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(

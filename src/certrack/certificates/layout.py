@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +99,20 @@ def has_entries(body: Any, key: str, *, after: int = 0) -> bool:
         and len(proof) > after
         and all(isinstance(entry, dict) and key in entry for entry in proof[after:])
     )
+
+
+@contextmanager
+def refusing_malformed_proof() -> Iterator[None]:
+    """Refuse what is no list, number or decimal text where the proof must have one.
+
+    What is refused by name already, by an `InputError`, keeps its message.
+    """
+    try:
+        yield
+    except InputError:  # a ValueError, too
+        raise
+    except (TypeError, ValueError, ZeroDivisionError) as problem:
+        raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
 def digest_of(body: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from certrack.certificates.exact import Proof, from_text
+from certrack.certificates.layout import refusing_malformed_proof
 from certrack.certificates.online.certify import OnlineProof
 from certrack.certificates.ranges.proofs import CellProof, numbers
 from certrack.certificates.ranges.rational import MAX_HULL_POINTS
@@ -16,13 +17,11 @@ def stage_record(entries: Any) -> Proof:
     names = ("alpha", "P", "lam", "nu", "k", "bound", "shift")
     if not isinstance(entries, dict) or set(entries) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
-    try:
+    with refusing_malformed_proof():
         vectors = {name: decimal_texts(entries[name]) for name in ("lam", "nu", "k")}
         rows = tuple(decimal_texts(row) for row in entries["P"])
         alpha, bound, shift = decimal_texts([entries[name] for name in ("alpha", "bound", "shift")])
         return Proof(alpha, rows, vectors["lam"], vectors["nu"], vectors["k"], bound, shift)
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
 def decimal_texts(values: Any) -> tuple[str, ...]:
@@ -41,13 +40,11 @@ def cell_record(entries: Any) -> CellProof:
     points = entries["points"]
     if not isinstance(points, list) or len(points) > MAX_HULL_POINTS:
         raise InputError("proof", f"points must be a list of at most {MAX_HULL_POINTS} stages")
-    try:
+    with refusing_malformed_proof():
         (bound,) = decimal_texts([entries["bound"]])
         cell = tuple((str(low), str(high)) for low, high in entries["cell"])
         if not all(low <= high for low, high in numbers(cell)):
             raise ValueError("an interval is empty")
-    except (TypeError, ValueError, ZeroDivisionError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
     return CellProof(cell, bound, tuple(map(stage_record, points)))
 
 
@@ -58,8 +55,6 @@ def online_record(entries: Any) -> OnlineProof:
     ends = entries["ends"]
     if not isinstance(ends, list) or len(ends) not in (1, 2):
         raise InputError("proof", "ends must be a list of one or two stages")
-    try:
+    with refusing_malformed_proof():
         (bound,) = decimal_texts([entries["bound"]])
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
     return OnlineProof(bound, tuple(map(stage_record, ends)))

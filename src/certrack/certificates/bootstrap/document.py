@@ -12,7 +12,7 @@ from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof
 from certrack.certificates.bootstrap.proof import FunctionProof, RowBound
 from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.exact import from_text
-from certrack.certificates.layout import has_entries
+from certrack.certificates.layout import has_entries, refusing_malformed_proof
 from certrack.core.errors import InputError
 
 #: Stages, functions of a stage, claims of a function that a file may have.
@@ -37,10 +37,8 @@ def bootstrap_stages(entries: list[Any]) -> tuple[BootstrapStage, ...]:
     """
     if len(entries) > MAX_STAGES:
         raise InputError("proof", f"must have at most {MAX_STAGES} stages of a bootstrap")
-    try:
+    with refusing_malformed_proof():
         return tuple(_stage_of(entry) for entry in entries)
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
 def _stage_of(entry: Any) -> BootstrapStage:

@@ -10,7 +10,7 @@ from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.slow import StepFunction
 from certrack.certificates.implemented.start_proof import StartProof
-from certrack.certificates.layout import has_entries
+from certrack.certificates.layout import has_entries, refusing_malformed_proof
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
 
@@ -66,7 +66,7 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
 def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     if not set(PROOF_KEYS) - OPTIONAL_KEYS <= set(entry) <= set(PROOF_KEYS):
         raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
-    try:
+    with refusing_malformed_proof():
         split = tuple(map(_as_tuple, _as_tuple(entry.get("split", ()))))
         listed = [*_as_tuple(entry["states"]), *_as_tuple(entry.get("rates", ()))]
         for part in split:
@@ -84,8 +84,6 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
-    except (TypeError, ValueError, ZeroDivisionError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
     starts = entry["starts"]
     if not isinstance(starts, (list, tuple)) or len(starts) > MAX_START_PROOFS:
         raise InputError("proof", f"starts must be a list of at most {MAX_START_PROOFS}")
@@ -116,7 +114,7 @@ def _one_z(entries: Any) -> StepFunction:
 def _start_proof(entry: Any) -> StartProof:
     if not isinstance(entry, dict) or set(entry) != set(START_KEYS):
         raise InputError("proof", f"starts must have {', '.join(START_KEYS)}")
-    try:
+    with refusing_malformed_proof():
         region = tuple(map(_as_tuple, _as_tuple(entry["region"])))
         if any(len(pair) != 2 for pair in region):
             raise TypeError("a region has pairs")
@@ -128,8 +126,6 @@ def _start_proof(entry: Any) -> StartProof:
             raise TypeError("doublings and middle must be integers")
         if any(type(entry[name]) is not str for name in ("of", "phase")):
             raise TypeError("of and phase must be words")
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
     return StartProof(**(entry | lists | {"region": region}))
 
 

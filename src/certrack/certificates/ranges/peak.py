@@ -37,12 +37,12 @@ from certrack.certificates.ranges.rational import Interval
 UNBOUNDED = 1e100
 
 #: The fixed point is widened by this before it is checked, and the roundings of the check are less
-#: than this; iterations until it stands still.
-WIDENED, FIXED_POINT_ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 400, 1e-280
+#: than this; iterations until it stands still, where the gain is 0.985.
+WIDENED, FIXED_POINT_ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 2000, 1e-280
 
 
 #: Why there is no bound.
-TOO_MUCH_GAIN = "the loop's gain through the uncertain terms is not below 1"
+TOO_MUCH_GAIN = "the loop's gain through the uncertain terms is not below 1, or too near to it"
 
 
 @dataclass(frozen=True)
@@ -211,10 +211,9 @@ def _bound(image: Any, count: int) -> float:
         if after.max() >= UNBOUNDED:
             break
         if (after <= v * (1 + WIDENED / 10)).all():
-            break
-        v = after
-    v = v * (1 + WIDENED) + LEAST
-    after = image(v) * (1 + FIXED_POINT_ROUNDING)
-    if not (after[1:] < v[1:]).all() or after.max() >= UNBOUNDED:
-        raise NoCertificate(TOO_MUCH_GAIN)
-    return float(after[0])
+            wide = v * (1 + WIDENED) + LEAST
+            proven = image(wide) * (1 + FIXED_POINT_ROUNDING)
+            if (proven[1:] < wide[1:]).all() and proven.max() < UNBOUNDED:
+                return float(proven[0])
+        v = after  # the nearer the gain is to 1, the nearer to its end the iteration must be
+    raise NoCertificate(TOO_MUCH_GAIN)

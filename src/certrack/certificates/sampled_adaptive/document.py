@@ -16,7 +16,7 @@ from certrack.certificates.bootstrap.document import (
     require_fields,
 )
 from certrack.certificates.bootstrap.proof import FunctionProof
-from certrack.certificates.layout import has_entries
+from certrack.certificates.layout import has_entries, refusing_malformed_proof
 from certrack.certificates.sampled_adaptive.proof import (
     InvariantSet,
     SampledAdaptiveProof,
@@ -40,7 +40,7 @@ def sampled_adaptive_record(entries: list[Any]) -> SampledAdaptiveProof:
     """
     if len(entries) != 1:
         raise InputError("proof", "must be one, for an adaptive law as implemented")
-    try:
+    with refusing_malformed_proof():
         require_fields(entries[0], SampledAdaptiveProof)
         entry = entries[0]
         return SampledAdaptiveProof(
@@ -48,8 +48,6 @@ def sampled_adaptive_record(entries: list[Any]) -> SampledAdaptiveProof:
             row=list_of(entry["row"], one_text),
             stages=list_of(entry["stages"], _sampled_stage_of, MAX_STAGES),
         )
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
 def _invariant_of(entry: Any) -> InvariantSet:

@@ -81,6 +81,8 @@ def read_gains(path: str | Path, stated: str) -> KnownGains:
         body = json.loads(Path(path).read_text("utf-8"))
     except OSError as problem:
         raise InputError(str(path), f"cannot be read ({problem.strerror})") from None
+    except InputError:  # a ValueError, too
+        raise
     except (ValueError, RecursionError):
         raise InputError(str(path), "is no file of gains: not JSON", remedy=_REMEDY) from None
     try:
