@@ -12,6 +12,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.rationals import stated_above
+from certrack.references.profiles.shortest import MOTION_LIMITS
 
 
 @dataclass(frozen=True)
@@ -209,8 +210,20 @@ def require_order(reference: Reference, order: int, who: str) -> None:
             "reference",
             f"{who} needs {order} bounded derivatives of y_d, the reference has "
             f"{reference.order:g}",
-            remedy="Lower law.feedforward or choose a smoother reference",
+            remedy=f"Lower law.feedforward or {_smoother(reference, order)}",
         )
+
+
+def _smoother(reference: Reference, order: int) -> str:
+    """What in the file gives the reference this order, in words."""
+    kind = dict(getattr(reference, "fields", ())).get("kind")
+    if kind in ("polynomial", "samples") and order <= LARGEST_SPLINE_ORDER:
+        spline = 'interpolation = "spline" and ' if kind == "samples" else ""
+        return f"take {spline}degree = {max(2 * order - 1, 3)} in [reference]"
+    if kind in ("velocity", "scurve", "moves") and order <= len(MOTION_LIMITS):
+        limits = ", ".join(MOTION_LIMITS[: order - 1])
+        return f'take kind = "moves" with limits of {limits} and {MOTION_LIMITS[order - 1]}'
+    return "choose a smoother reference"
 
 
 def total_bound(reference: Reference) -> float:
@@ -219,6 +232,9 @@ def total_bound(reference: Reference) -> float:
         return stated_above(reference.declared_bound)
     return round_up(sum(reference.bounds(1).values))
 
+
+#: Splines and polynomials of degree 2 m - 1 have the order m, up to this one.
+LARGEST_SPLINE_ORDER = 5
 
 #: Roundings that :func:`round_up` makes good, each at most half a unit in the last place.
 ROUNDED_UNITS = 4
