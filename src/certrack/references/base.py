@@ -12,7 +12,6 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.rationals import stated_above
-from certrack.references.profiles.shortest import MOTION_LIMITS
 
 
 @dataclass(frozen=True)
@@ -220,9 +219,8 @@ def _smoother(reference: Reference, order: int) -> str:
     if kind in ("polynomial", "samples") and order <= LARGEST_SPLINE_ORDER:
         spline = 'interpolation = "spline" and ' if kind == "samples" else ""
         return f"take {spline}degree = {max(2 * order - 1, 3)} in [reference]"
-    if kind in ("velocity", "scurve", "moves") and order <= len(MOTION_LIMITS):
-        limits = ", ".join(MOTION_LIMITS[: order - 1])
-        return f'take kind = "moves" with limits of {limits} and {MOTION_LIMITS[order - 1]}'
+    if kind in ("velocity", "scurve", "moves") and order in LIMIT_OF_ORDER:
+        return f'take kind = "moves" with a limit of {LIMIT_OF_ORDER[order]} besides'
     return "choose a smoother reference"
 
 
@@ -235,6 +233,9 @@ def total_bound(reference: Reference) -> float:
 
 #: Splines and polynomials of degree 2 m - 1 have the order m, up to this one.
 LARGEST_SPLINE_ORDER = 5
+
+#: Moves from rest to rest have the order of their highest limit.
+LIMIT_OF_ORDER = {2: "acceleration", 3: "jerk", 4: "snap"}
 
 #: Roundings that :func:`round_up` makes good, each at most half a unit in the last place.
 ROUNDED_UNITS = 4
