@@ -232,6 +232,6 @@ def test_the_nearest_samples_make_the_cubic():
 
 
 def test_an_error_of_rounding_alone_has_metrics():
-    """Without a disturbance, from the reference's own start: sums of squares may fall below zero."""
+    """Undisturbed, from the reference's own start: sums of squares may fall below zero."""
     axis = certrack.loads(RANGED_DRIVE).replace(implementation=None)
     assert 0 <= certrack.simulate(axis).metrics.rms_error < 1e-12
