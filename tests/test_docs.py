@@ -44,6 +44,9 @@ PARAMETERS = [
 #: What works only where there is a C compiler.
 NEEDS_C = re.compile(r"export fmu|export\.fmu|--with-c")
 
+#: A file of a page, which its commands find.
+NAMED = re.compile(r"# ([\w-]+\.toml)\n")
+
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.M | re.S)
 
 
@@ -57,8 +60,10 @@ def blocks(page, language):
 
 @pytest.mark.parametrize("page", PARAMETERS)
 def test_commands_run_in_order(page, tmp_path):
-    for block in blocks(page, "console"):
-        for line in block.splitlines():
+    for kind, block in BLOCK.findall(page.read_text()):
+        if kind == "toml" and (name := NAMED.match(block)):
+            (tmp_path / name[1]).write_text(block)
+        for line in block.splitlines() if kind == "console" else ():
             assert line.startswith("$ certrack "), line
             command = shlex.split(line[2:])
             command[0] = str(Path(sys.executable).with_name("certrack"))

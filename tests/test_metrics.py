@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from test_tuning_drive import RANGED_DRIVE
 
 import certrack
 from certrack.simulation.metrics import (
@@ -228,3 +229,9 @@ def test_the_nearest_samples_make_the_cubic():
     t = np.arange(8.0)
     found = measure(t, 3000 - t**4, t, np.zeros((3, 8)), band=1.0, tail_start=2.5)
     assert abs(found.tail_error - (3000 - 2.5**4)) <= 0.57
+
+
+def test_an_error_of_rounding_alone_has_metrics():
+    """Undisturbed, from the reference's own start: sums of squares may fall below zero."""
+    axis = certrack.loads(RANGED_DRIVE).replace(implementation=None)
+    assert 0 <= certrack.simulate(axis).metrics.rms_error < 1e-12

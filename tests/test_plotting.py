@@ -3,6 +3,7 @@
 import importlib
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -157,6 +158,20 @@ def test_the_tube_is_said_to_be_of_the_continuous_law(name, runs):
     said = "continuous law" in made.get_suptitle()
     (shown, *_) = [text for text in texts(made.axes[0].get_legend()) if "tube" in text]
     assert said == ("continuous law" in shown) == (name == "dual-motor-drive")
+
+
+@pytest.mark.parametrize("factor", [2.0, 20.0])
+def test_a_certified_bound_is_drawn_or_told(factor, runs):
+    """The legend has it in both cases; a line far off would hide the error."""
+    run = runs["dual-motor-lean"]
+    bound = factor * float(np.abs(run.e[0]).max())
+    certificates = SimpleNamespace(best=Certificate("peak", bound, verified=True), tube=None)
+    ax = plotting.plot(run).axes[1]
+    ax.clear()
+    plotting.plot_error(ax, {"": run}, certified={"": certificates})
+    assert any(text.startswith("certified ") for text in texts(ax.get_legend()))
+    drawn = {line.get_ydata()[0] for line in ax.lines if len(line.get_xdata()) == 2}
+    assert (bound in drawn) == (factor == 2.0)
 
 
 def styles(ax):

@@ -12,7 +12,7 @@ from flint import fmpq, fmpq_poly
 import certrack
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
-from certrack.references import polynomials, samples, triangle
+from certrack.references import moves, polynomial, polynomials, samples, scurve, triangle
 from certrack.references.base import (
     Bounds,
     Reference,
@@ -357,6 +357,39 @@ class Ramp(Reference):
 
     def formulas(self, order):
         return (sympy.Min(2 * TIME, 6),)
+
+
+@pytest.mark.parametrize(
+    ("rough", "order", "remedy", "smooth"),
+    [
+        (
+            polynomial((0, 1), degree=5, duration=0.3),
+            4,
+            r"or take degree = 7 in \[reference\]",
+            polynomial((0, 1), degree=7, duration=0.3),
+        ),
+        (
+            samples((0, 1, 2), (0, 1, 4)),
+            3,
+            r'or take interpolation = "spline" and degree = 5 in \[reference\]',
+            samples((0, 1, 2), (0, 1, 4), interpolation="spline", degree=5),
+        ),
+        (
+            scurve((0, 1), speed=5, acceleration=100, jerk=2000),
+            4,
+            'or take kind = "moves" with a limit of snap besides',
+            moves((0, 1), speed=5, acceleration=100, jerk=2000, snap=1e6),
+        ),
+        (triangle(1, 1), 2, "or choose a smoother reference", None),
+        (polynomial((0, 1), degree=9, duration=1), 6, "or choose a smoother reference", None),
+    ],
+)
+def test_the_remedy_of_a_reference_that_is_too_rough(rough, order, remedy, smooth):
+    """What it tells to take is smooth enough."""
+    with pytest.raises(InputError, match=f"Lower law.feedforward {remedy}"):
+        require_order(rough, order, "this law")
+    if smooth is not None:
+        require_order(smooth, order, "this law")
 
 
 def test_what_holds_of_a_reference_that_says_no_more():

@@ -34,6 +34,7 @@ from certrack.tuning.result import Tuned
 from certrack.tuning.sampled_responses import SampledPlant, input_plant
 from certrack.tuning.stability import DelayEdge, EstimatesPeriod
 from certrack.tuning.stages import searches_of
+from certrack.tuning.tune import ONE_PROOF
 
 DRIVE = certrack.Implementation(period=0.002, delay=1.5, initial_input=0.3)
 
@@ -410,3 +411,44 @@ def test_the_designer_shows_the_same_rows(monkeypatch):
     of = [", as the drive runs it", ", continuous law"]
     assert [row[0] for row in header["table"][:4]] == [label + o for o in of for label in labels]
     assert header["table"][0][1] == "0.5" and header["table"][2][1:] == ["0.25", "0.25"]
+
+
+#: A motor and a load whose inertia is known within 30 %, on a drive.
+RANGED_DRIVE = """
+[plant]
+states = ["q", "v"]
+chain = [1]
+drift = "0"
+gain_sign = 1
+input_gain = "0.2/(2e-4 + JL)"
+[plant.constants]
+JL = 1e-3
+[plant.ranges]
+JL = ["0.7*1e-3", "1.3*1e-3"]
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 22]
+[truth]
+input_gain = "0.2/(2e-4 + JL)"
+[reference]
+signal = "0.5*sin(6*t)"
+[law]
+kind = "robust"
+c = [40, 40]
+feedforward = 1
+[simulation]
+x0 = [0, 3]
+duration = 1
+[implementation]
+period = 0.001
+delay = 0.5
+"""
+
+
+def test_a_note_tells_that_cells_prove_less():
+    """Of the drive with ranges: its bounds in a tuning are of one proof for all of them."""
+    found = certrack.tune(certrack.loads(RANGED_DRIVE), starts=1)
+    assert found.after.method == "implemented" and ONE_PROOF in found.notes
+    sampled = certrack.certify(found.system).implemented
+    assert sampled.cells > 1 and sampled.bound < found.after.certified

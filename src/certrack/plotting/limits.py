@@ -51,6 +51,8 @@ def draw_guarantees(
             for sign in (-1, 1) if drawn else ():
                 ax.axhline(sign * best.bound, color=color, ls="-.", lw=0.9, label=label)
                 label = None
+            if not drawn:
+                ax.plot([], [], " ", label=label)
             held += [best.bound, -best.bound] if drawn else []
         if certificates.tube is not None:
             t = np.linspace(low, high, TUBE_POINTS)

@@ -209,8 +209,19 @@ def require_order(reference: Reference, order: int, who: str) -> None:
             "reference",
             f"{who} needs {order} bounded derivatives of y_d, the reference has "
             f"{reference.order:g}",
-            remedy="Lower law.feedforward or choose a smoother reference",
+            remedy=f"Lower law.feedforward or {_smoother(reference, order)}",
         )
+
+
+def _smoother(reference: Reference, order: int) -> str:
+    """What in the file gives the reference this order, in words."""
+    kind = dict(getattr(reference, "fields", ())).get("kind")
+    if kind in ("polynomial", "samples") and order <= LARGEST_SPLINE_ORDER:
+        spline = 'interpolation = "spline" and ' if kind == "samples" else ""
+        return f"take {spline}degree = {max(2 * order - 1, 3)} in [reference]"
+    if kind in ("velocity", "scurve", "moves") and order in LIMIT_OF_ORDER:
+        return f'take kind = "moves" with a limit of {LIMIT_OF_ORDER[order]} besides'
+    return "choose a smoother reference"
 
 
 def total_bound(reference: Reference) -> float:
@@ -219,6 +230,12 @@ def total_bound(reference: Reference) -> float:
         return stated_above(reference.declared_bound)
     return round_up(sum(reference.bounds(1).values))
 
+
+#: Splines and polynomials of degree 2 m - 1 have the order m, up to this one.
+LARGEST_SPLINE_ORDER = 5
+
+#: Moves from rest to rest have the order of their highest limit.
+LIMIT_OF_ORDER = {2: "acceleration", 3: "jerk", 4: "snap"}
 
 #: Roundings that :func:`round_up` makes good, each at most half a unit in the last place.
 ROUNDED_UNITS = 4

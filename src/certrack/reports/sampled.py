@@ -22,8 +22,7 @@ def for_starts(sampled: ImplementedCertificate) -> str:
     if sampled.starts == "x0":
         return ", from x0" + (" and the proven polytope" if sampled.polytope is not None else "")
     if sampled.starts == "box":
-        whose = "proven box of starts" if sampled.saturation == NO_LIMITS else "ensemble's box"
-        return f", from x0 and the {whose}"
+        return ", from x0 and the proven box of starts"
     return ""
 
 
@@ -154,11 +153,11 @@ def _start_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
             f"{_listed(states)}{limits.get(sampled.saturation, '')}"
         )
     if polytope is not None:
+        region = " x ".join(_ends(*pair) for pair in polytope.region)
         if sampled.saturation == NO_LIMITS:
-            proven = " x ".join(_ends(*pair) for pair in polytope.region)
-            lines.append(f"largest box of starts that is proven, for any reference: {proven}")
+            lines.append(f"largest box of starts that is proven, for any reference: {region}")
         elif polytope.is_region:
-            lines.append("no limit of the input is met from any start of the ensemble's box")
+            lines.append(f"no limit of the input is met from any start of the proven box {region}")
         elif (box := polytope.largest_box()) is not None:
             ends = (_ends(*pair) for pair in box)
             lines.append(

@@ -200,6 +200,7 @@ def measure_series(
     if numbers is None:
         return None
     settling, tail, magnitude, peak, variation, u2, e2 = numbers
+    u2, e2 = max(u2, 0.0), max(e2, 0.0)  # of an error that is rounding alone the sum may be below
     return Metrics(
         *(settling, tail, math.sqrt(e2 / span), magnitude, e2, peak, u2, variation),
         *(band, tail_start),

@@ -23,8 +23,11 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
     if not exceeded:
         return InputError(
             "tune",
-            "what keeps all limits does not work when it is held at the period",
-            remedy="Shorten the period, or lower --noise",
+            "no design was found that keeps all limits and works when it is held at "
+            f"{problem.held_period:.4g} s and at shorter periods (without --period three times "
+            "implementation.period, or 3 ms)",
+            remedy="Shorten implementation.period, state --period, lower --noise, or leave a "
+            "resonance for which the drive is too slow out of the model",
         )
     options = [limit for limit in limits if limit.option] or exceeded
     best = None

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from certrack.certificates.certify import EFFORTS
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.errors import Cancelled
 from certrack.core.progress import Progress, silent
@@ -54,6 +55,12 @@ FINISHING_NAMES = (
     "both designs: continuous law",
 )
 FINISHING_STEPS = len(FINISHING_NAMES)
+
+#: What is said where bounds of a drive with ranges are compared.
+ONE_PROOF = (
+    "each certified error as the drive runs it is one proof for the whole of plant.ranges; "
+    "certrack certify cuts them into cells and mostly proves less"
+)
 
 #: The price of a limit is told for this ease of it.
 EASED = 0.1
@@ -207,6 +214,8 @@ def tune(
     before, after = _compared(
         (system, before), (finished_of(best), after), seed, effort, proving, search
     )
+    if effort == "fast" and has_ranges(system) and (before.of_drive or after.of_drive):
+        notes.append(ONE_PROOF)
     hurried = search.state.hurried
     active = tuple(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))

@@ -6,7 +6,8 @@ At the minimiser of c . x with s = h - G x in a cone, and its dual z,
 
 An interior-point solver stops where s . z is small. Where an eigenvalue of S and that of Z are both
 small, z is far less accurate than that. From there Newton's method converges quadratically, if the
-solution is the only one; if not, nothing is gained, and the solver's point is kept.
+solution is the only one. If not, it goes anywhere on the plane through all of them, where S Z = 0,
+too, but S has negative eigenvalues: such points are none of the program, and do not count.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ import numpy as np
 
 #: Steps at most; each must bring the residual down to this part.
 NEWTON_STEPS, LEFT_AFTER_STEP = 8, 0.5
+
+#: A slack or a dual is outside its cone by an eigenvalue below this part of its largest.
+CONE_ROUNDING = 1e-9
 
 
 def with_last_digits(
@@ -35,7 +39,7 @@ def with_last_digits(
     x, z : arrays
         What a solver found.
     """
-    residual = optimality_residual(program, sizes, x, z)
+    residual, nearest = optimality_residual(program, sizes, x, z), (x, z)
     for _ in range(NEWTON_STEPS):
         try:
             step = np.linalg.solve(optimality_slopes(program, sizes, x, z), -residual)
@@ -46,7 +50,9 @@ def with_last_digits(
         if not np.linalg.norm(after) < LEFT_AFTER_STEP * np.linalg.norm(residual):
             break
         (x, z), residual = nearer, after
-    return x, z
+        if _in_cones(program, sizes, x, z):
+            nearest = nearer
+    return nearest
 
 
 def optimality_residual(
@@ -65,6 +71,27 @@ def optimality_residual(
     cost, matrix, right = program
     complementary = _product(sizes, z, (right - matrix @ x)[:, None])[:, 0]
     return np.concatenate([matrix.T @ z + cost, complementary])
+
+
+def _in_cones(
+    program: tuple[np.ndarray, np.ndarray, np.ndarray],
+    sizes: Sequence[int],
+    x: np.ndarray,
+    z: np.ndarray,
+) -> bool:
+    """Whether slack and dual are in their cones, but for roundings."""
+    _, matrix, right = program
+    values = (_eigenvalues(sizes, vector) for vector in (right - matrix @ x, z))
+    return all(each.min() >= -CONE_ROUNDING * np.abs(each).max() for each in values)
+
+
+def _eigenvalues(sizes: Sequence[int], vector: np.ndarray) -> np.ndarray:
+    """Those of each block, and the numbers behind them."""
+    parts, at = [], 0
+    for size in sizes:
+        rows = slice(at, at := at + size * (size + 1) // 2)
+        parts.append(np.linalg.eigvalsh(matrices(vector[rows, None], size)[0]))
+    return np.concatenate([*parts, vector[at:]])
 
 
 def optimality_slopes(
