@@ -13,6 +13,7 @@ from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import gains as gains_room
 from certrack.certificates.implemented import timing as timing_room
 from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed, widened
@@ -312,6 +313,23 @@ def test_jumps_add_up_once_in_so_many_periods(n):
         assert steps == [float(i == period.command) for i in range(period.size)]
         without = output_gains(exact_period([0, 1], (1, 1), n=n), rows, 8)
         assert (without.jump == 0).all()
+
+
+def test_a_sum_of_jumps_counts_a_rounding_for_each_period(monkeypatch):
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(gains_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = exact_period([0, 1], (1, 1)).drive
+        for jumps in (None, (rational(1.0), rational(0.35))):
+            counts.clear()
+            period = one_period(replace(drive, jumps=jumps), (1, 1))
+            output_gains(period, output_rows(period), 8)
+            assert (max(counts) >= 2**8) is (jumps is not None)
 
 
 def test_sums_over_periods_are_lines_between_the_cells_and_magnitudes():
