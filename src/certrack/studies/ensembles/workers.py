@@ -47,8 +47,8 @@ def chunk_members(plan: Plan, members: int, client: Any) -> int:
     if client is None or plan.method not in COMPILED:
         return CHUNK_MEMBERS
     each = members // (CHUNKS_FOR_EACH * max(1, len(client.scheduler_info()["workers"])))
-    whole = each // CHUNK_MEMBERS * CHUNK_MEMBERS
-    return max(CHUNK_MEMBERS, min(whole, CLUSTER_CHUNK_MEMBERS))
+    multiple = each // CHUNK_MEMBERS * CHUNK_MEMBERS
+    return max(CHUNK_MEMBERS, min(multiple, CLUSTER_CHUNK_MEMBERS))
 
 
 def in_this_process(
