@@ -82,8 +82,8 @@ def packaged(name: str, system: str) -> str:
         return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
     source = text(name).replace('#include "system.h"\n', system)
-    for header in ("vector_math.h", "scalar_math.h"):
-        source = source.replace(f'#include "{header}"\n', text(header))
+    for header in ("vector_math.h", "scalar_math.h", "sampled/plan.h"):
+        source = source.replace(f'#include "{header.rpartition("/")[2]}"\n', text(header))
     return source
 
 
