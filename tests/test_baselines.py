@@ -264,10 +264,10 @@ def test_its_inputs_keep_the_limit_and_members_do():
 
 
 def test_what_is_said_without_osqp(tmp_path, monkeypatch, capsys):
-    """Neither a traceback nor a run that is lost, and what needs no plan runs on."""
+    """Neither a traceback nor a run that is lost; what needs no plan, or plans in C, runs on."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     limited = predictive(input_limit=1.5)
-    for run in (certrack.simulate, lambda system: certrack.ensemble(system, 2)):
+    for run in (certrack.simulate, lambda system: certrack.ensemble(system, 2, method="alone")):
         with pytest.raises(certrack.MissingExtra, match=r"pip install 'certrack\[mpc\]'"):
             run(limited)
     assert certrack.simulate(predictive()).metrics.peak_input > 2.0

@@ -104,7 +104,8 @@ class PlannedMaps:
         self, maps: SampledMaps, loop: SampledLoop, line: EventTimeline, plans: LimitedPlans
     ) -> None:
         self.step, self._control = maps.step, maps.control
-        self.solved, self._plans, self._program = 0, plans, None
+        self.solved, self._plans = 0, plans
+        self._program: Any = None
         self._times = line.clock[line.samples]
         controller = loop.controller
         self._base = numpy_callable(
