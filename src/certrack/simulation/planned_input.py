@@ -32,7 +32,7 @@ from certrack.systems.system import System
 PLAN_TOLERANCE, PLAN_ITERATIONS = 1e-6, 20_000
 
 #: By which part of the limits an exact solution may leave them.
-ROUNDING = 1e-10
+PLAN_ROUNDING = 1e-10
 
 #: Plans of so many samples ask for the reference at once.
 REFERENCE_CHUNK = 2000
@@ -79,7 +79,7 @@ def limited_plans(system: System, line: EventTimeline) -> LimitedPlans | None:
         np.ascontiguousarray(spread),
         np.concatenate(offsets),
         np.array(L),
-        ROUNDING * largest,
+        PLAN_ROUNDING * largest,
     )
 
 
@@ -141,7 +141,7 @@ class PlannedMaps:
                 scipy.sparse.csc_matrix(self._plans.effect),
                 *bounds,
                 verbose=False,
-                eps_abs=PLAN_TOLERANCE * self._plans.tolerance / ROUNDING,
+                eps_abs=PLAN_TOLERANCE * self._plans.tolerance / PLAN_ROUNDING,
                 eps_rel=PLAN_TOLERANCE,
                 max_iter=PLAN_ITERATIONS,
                 warm_starting=True,

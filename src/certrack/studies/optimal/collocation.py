@@ -66,7 +66,7 @@ def radau_scheme(degree: int = COLLOCATION_DEGREE) -> CollocationScheme:
     points = Legendre([*(0.0,) * (degree - 1), -1.0, 1.0]).roots().real
     nodes = np.append((np.sort(points)[:-1] + 1) / 2, 1.0)
     integrals = [polynomial.integ() for polynomial in _lagrange_basis(nodes)]
-    return _scheme(nodes, np.array([whole(1.0) - whole(0.0) for whole in integrals]))
+    return _scheme(nodes, np.array([integral(1.0) - integral(0.0) for integral in integrals]))
 
 
 def _scheme(nodes: Array, weights: Array) -> CollocationScheme:

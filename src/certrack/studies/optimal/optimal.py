@@ -35,7 +35,7 @@ from certrack.studies.optimal.mesh_search import (
 from certrack.systems.system import System, require_system
 
 #: All searches may take so long, s.
-TIME_LIMIT = 300.0
+OPTIMA_SECONDS = 300.0
 
 #: The most that may be asked for.
 MAX_ELEMENTS = 20_000
@@ -186,7 +186,7 @@ def optimal(
     peak_input: float | None = None,
     horizon: float | None = None,
     elements: int = ELEMENTS,
-    time_limit: float = TIME_LIMIT,
+    time_limit: float = OPTIMA_SECONDS,
     progress: Progress = silent,
 ) -> Optima:
     """Find the best possible trajectories of a system's true plant, and compare its law.
