@@ -1,6 +1,7 @@
 """The laws of the textbooks: each is a law like any other, and does what its formulas promise."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.optimize import minimize
 import certrack
 from certrack.cli import main
 from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.sampled.events import event_timeline
 from certrack.laws.baselines.adrc import Adrc
@@ -24,8 +26,10 @@ from certrack.laws.plant_coordinates import output_derivatives
 from certrack.laws.registry import BASELINES
 from certrack.loops.controller import resolved, sampled_controller, starting_state
 from certrack.loops.controller_values import controller_values
+from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
-from certrack.simulation.planned_input import PlannedMaps
+from certrack.simulation import sampled as sampled_runs
+from certrack.simulation.planned_input import PlannedMaps, limited_plans
 from certrack.simulation.sampled import SampledSimulator
 from certrack.testing import LawConformance
 
@@ -162,16 +166,27 @@ def test_within_its_limits_the_plan_is_the_linear_feedback():
     assert free.metrics.peak_input > 2.0
 
 
+def _law_input(system, x, Y):
+    """u = law(x, Y) without limits."""
+    controller, plant = system.controller, system.plant
+    names = [controller.signals.x, controller.signals.Y, controller.symbols]
+    formula = controller.equations.u.subs({symbol(k): v for k, v in plant.constant_values.items()})
+    return float(numpy_callable(names, [formula])(x, Y, controller.values)[0])
+
+
 def test_a_plan_is_the_least_cost_within_the_limits_by_another_solver():
     system = predictive(input_limit=1.5)
     simulator = SampledSimulator(system)
     line = event_timeline(system.implementation, 1.5, np.empty(0), np.empty(0))
-    maps = PlannedMaps(simulator.maps, simulator.loop, system, line)
+    plans = limited_plans(system, line)
+    maps = PlannedMaps(simulator.maps, simulator.loop, line, plans)
     A, B, K = system.law.plan_matrices(system.plant)
     g_n = system.law.known_gain(system.plant)
     x = np.array([-1.0, 1.0, 1.0, 0.0])
-    plan = maps._plans(x[:, None], slice(1))[0]
-    xi = x - maps._followed[0]
+    Y = system.reference.values(np.zeros(1), 4)[:, 0]
+    asked = _law_input(system, x, Y)
+    plan = asked + plans.spread @ x + plans.offsets[0]
+    xi = x - system.law.coordinates(system.plant).B @ Y[:-1]
     step, weight = system.law.horizon / MOVES, system.law.weight
     fed = plan - [
         K @ np.linalg.matrix_power(A + np.outer(B, K), j) @ xi / g_n for j in range(MOVES)
@@ -203,6 +218,45 @@ def test_a_plan_is_the_least_cost_within_the_limits_by_another_solver():
     assert maps.solved == 1
 
 
+@pytest.mark.parametrize("limit", [0.7, 1.5, 5.0])
+@pytest.mark.parametrize(
+    "real", [{}, {"delay": 1, "noise": (1e-4,) * 4, "saturation": (-1.0, 2.0)}]
+)
+def test_programs_solved_in_c_are_those_of_osqp(limit, real, monkeypatch):
+    """An active-set method against one of operator splitting, on runs that meet the limits."""
+    system = predictive(input_limit=limit)
+    system = system.replace(implementation=Implementation(period=4e-3, **real))
+    runs = []
+    for events in (0, 10**9):
+        monkeypatch.setattr(sampled_runs, "WORTH_COMPILING", events)
+        runs.append(certrack.simulate(system))
+    in_c, by_osqp = runs
+    np.testing.assert_allclose(in_c.u, by_osqp.u, atol=1e-4 * limit)
+    assert (np.abs(in_c.u) > 0.99 * min(limit, 1.0)).any() or limit > 2
+
+
+def test_members_side_by_side_plan_as_each_alone():
+    system = certrack.load("dual-motor-lean").with_settings(duration=1.5, tail=1.0)
+    law = Mpc(feedforward=3, weight=400.0, horizon=0.4, input_limit=1.5)
+    system = system.replace(law=law, implementation=Implementation(period=4e-3))
+    figures = []
+    for method in ("native", "alone"):
+        group = certrack.ensemble(system, 9, seed=3, method=method)
+        assert group.statistics.outcomes["finished"] == 9
+        metrics = group.statistics.metrics
+        figures.append([metrics[name].summary()["max"] for name in ("tail_error", "rms_error")])
+        assert metrics["peak_input"].summary()["max"] == pytest.approx(1.5, rel=1e-9)
+    together, alone = figures
+    np.testing.assert_allclose(together, alone, rtol=1e-5)
+
+
+def test_members_with_references_of_their_own_plan_alone():
+    system = predictive(input_limit=1.5)
+    population = replace(system.population, amplitude=Distribution("uniform", (0.5, 1.0)))
+    with pytest.raises(InputError, match="plans of the input differ"):
+        certrack.ensemble(system.replace(population=population), 2, method="native")
+
+
 def test_its_inputs_keep_the_limit_and_members_do():
     system = predictive(input_limit=1.5)
     assert certrack.simulate(system).metrics.peak_input == pytest.approx(1.5)
@@ -210,10 +264,10 @@ def test_its_inputs_keep_the_limit_and_members_do():
 
 
 def test_what_is_said_without_osqp(tmp_path, monkeypatch, capsys):
-    """Neither a traceback nor a run that is lost, and what needs no plan runs on."""
+    """Neither a traceback nor a run that is lost; what needs no plan, or plans in C, runs on."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     limited = predictive(input_limit=1.5)
-    for run in (certrack.simulate, lambda system: certrack.ensemble(system, 2)):
+    for run in (certrack.simulate, lambda system: certrack.ensemble(system, 2, method="alone")):
         with pytest.raises(certrack.MissingExtra, match=r"pip install 'certrack\[mpc\]'"):
             run(limited)
     assert certrack.simulate(predictive()).metrics.peak_input > 2.0

@@ -20,7 +20,7 @@ from certrack.core.expressions import parse
 from certrack.core.lowering import numpy_callable
 from certrack.core.progress import silent
 from certrack.reports.optima import optima_notes
-from certrack.studies.optimal.collocation import gauss_scheme
+from certrack.studies.optimal.collocation import gauss_scheme, radau_scheme
 from certrack.studies.optimal.goal import Goal
 from certrack.studies.optimal.law_run import law_run_of
 from certrack.studies.optimal.mesh import mesh
@@ -282,6 +282,46 @@ def test_the_scheme_is_of_order_twice_its_degree(degree):
         inner = np.linalg.solve(matrix, -scheme.slopes[0])
         errors.append(abs(scheme.last[0] + scheme.last[1:] @ inner - math.exp(-h)))
     assert math.log2(errors[0] / errors[1]) == pytest.approx(2 * degree + 1, abs=0.3)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_radaus_scheme_ends_at_its_last_point_and_decays_as_what_is_stiff(degree):
+    scheme = radau_scheme(degree)
+    assert scheme.nodes[-1] == 1.0 and scheme.weights.sum() == pytest.approx(1.0)
+    for power in range(2 * degree - 1):
+        assert scheme.weights @ scheme.nodes**power == pytest.approx(1 / (power + 1))
+    ends = []
+    for stiff in (0.1, 1e4):
+        matrix = scheme.slopes[1:].T + stiff * np.eye(degree)
+        inner = np.linalg.solve(matrix, -scheme.slopes[0])
+        ends.append(scheme.last[0] + scheme.last[1:] @ inner)
+    assert ends[0] == pytest.approx(math.exp(-0.1), abs=1e-4)
+    assert abs(ends[1]) < 1e-3
+
+
+def test_where_the_time_is_over_the_last_optimum_counts_and_a_line_says_so():
+    system = certrack.load("example1")
+    found = optimal(system, "squared_error", peak_input=12.9, horizon=2, time_limit=1e-3)
+    (entry,) = found.optima  # the first mesh has a second, whatever is left
+    assert entry.timed_out and entry.record()["timed_out"]
+    lines = optima_notes(found)
+    assert any("--time-limit" in line for line in lines)
+    if entry.converged:
+        assert entry.mesh_error is None
+    unhurried = optimal(system, "squared_error", peak_input=12.9, horizon=2, elements=120)
+    assert not unhurried.optima[0].timed_out
+    with pytest.raises(InputError, match="time_limit"):
+        optimal(system, time_limit=0)
+
+
+@pytest.mark.slow
+def test_an_axis_that_sticks_has_optima():
+    """Over the first turn of the reference, where friction holds the axis at rest."""
+    system = certrack.load("stiction")
+    found = optimal(system, "energy", squared_error=2.7e-4, horizon=4, time_limit=120)
+    (entry,) = found.optima
+    assert entry.converged and entry.deviation <= 1e-3 and 0 < entry.smoothing <= 0.1
+    assert entry.cost.energy < found.law.energy
 
 
 def test_formulas_are_the_same_in_casadi():

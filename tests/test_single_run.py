@@ -184,7 +184,7 @@ def test_short_runs_and_machines_without_a_compiler_take_the_maps(monkeypatch):
     simulator = SampledSimulator(long)
     run = simulator.run(long)
     assert run.trajectory.end == 4.1
-    assert simulator._single is None
+    assert simulator._single(False) is None
     assert "maps" in vars(simulator)
 
 

@@ -10,7 +10,9 @@ import click
 from certrack.cli.base import FOLDER, json_option, options_named, tell_written
 
 #: Arguments of certrack.optimal that are options of the verb.
-OPTIMAL_OPTIONS = ("objective", "squared_error", "energy", "peak_input", "horizon", "elements")
+OPTIMAL_OPTIONS = (
+    *("objective", "squared_error", "energy", "peak_input", "horizon", "elements", "time_limit"),
+)
 
 
 @click.command()
@@ -30,6 +32,13 @@ OPTIMAL_OPTIONS = ("objective", "squared_error", "energy", "peak_input", "horizo
     default=960,
     show_default=True,
     help="Elements of the finest mesh at most; the input is a line on each.",
+)
+@click.option(
+    "--time-limit",
+    type=float,
+    default=300.0,
+    show_default=True,
+    help="Time of the searches of a file, s; then the last optima found are shown.",
 )
 @click.option("--plot", type=FOLDER, help="Folder for the pictures of laws and optima.")
 @json_option

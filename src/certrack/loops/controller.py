@@ -371,3 +371,13 @@ def resolved(controller: SampledController) -> tuple[sympy.Expr, tuple[sympy.Exp
     for name, formula in controller.steps:
         known[name] = formula.xreplace(known)
     return known[COMMAND], tuple(formula.xreplace(known) for formula in controller.update)
+
+
+def planning_base(controller: SampledController) -> tuple[sympy.Expr, ...]:
+    """The input that the law asks for without limits, then the states that it takes."""
+    known: dict[sympy.Symbol, sympy.Expr] = {}
+    for name, formula in controller.steps:
+        known[name] = formula.xreplace(known)
+    values = dict(controller.values)
+    states = [values.get(x, x).xreplace(known) for x in controller.measured]
+    return (known[LAW_INPUT], *states)

@@ -340,13 +340,6 @@ class Implementation:
         return self.noise_bound or (0.0,) * states
 
     @property
-    def reads_states(self) -> bool:
-        """Whether the controller gets all states as they are."""
-        quantum = any(self.measurement_quantum or ())
-        wrong = self.noise is not None or self.sensor_error is not None
-        return not (quantum or wrong or self.velocity)
-
-    @property
     def converter(self) -> tuple[float, float, float]:
         """Step of the actuator's converter, and the lowest and highest input it gives."""
         if self.saturation is None or not self.input_quantum:

@@ -72,8 +72,13 @@ def _excess_text(result: Optima, optimum: Optimum) -> str:
 def _remarks(result: Optima, optimum: Optimum) -> Iterator[str]:
     goal, excess = _goal_text(optimum.goal), result.excess(optimum)
     if not optimum.converged:
-        yield f"{goal}: none found: {optimum.reason}"
+        more = (
+            "; a longer --time-limit or a shorter --horizon may help" if optimum.timed_out else ""
+        )
+        yield f"{goal}: none found: {optimum.reason}{more}"
         return
+    if optimum.timed_out:
+        yield f"{goal}: the time was over before the search: a longer --time-limit may find less"
     for name, limit in optimum.goal.limits.items():
         if getattr(result.law, name) > limit * (1 + LIMIT_ROUNDING):
             yield f"{goal}: the law exceeds {LIMIT_TEXTS[name]} <= {short_number(limit, 4)}"

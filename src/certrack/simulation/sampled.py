@@ -23,6 +23,7 @@ from certrack.core.progress import Progress, silent
 from certrack.integrators.base import MethodUnavailable, Outcome, Trajectory, parts_of
 from certrack.integrators.sampled.events import EventTimeline, event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
+from certrack.integrators.sampled.plans import LimitedPlans
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.integrators.sampled.scalar_maps import ScalarMaps
 from certrack.integrators.sampled.single import WORTH_COMPILING, SampledSingle
@@ -34,7 +35,6 @@ from certrack.integrators.sampled.solution import (
     StepTable,
 )
 from certrack.integrators.switching import ModeRecord, sticking_notes
-from certrack.laws.baselines.mpc import planned_limits
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
@@ -43,7 +43,7 @@ from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.implementation_notes import implementation_notes
-from certrack.simulation.planned_input import PlannedMaps
+from certrack.simulation.planned_input import PlannedMaps, limited_plans
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -96,6 +96,7 @@ class SampledSimulator:
         self._by_numpy = integrator == "scipy" or not has_heyoka()
         self._in_c = integrator != "scipy" and around is None and self.surfaces is None
         self.outputs = outputs_of(self.loop)
+        self._singles: dict[bool, SampledSingle | None] = {}
         self._last_events: tuple[Any, EventTimeline | None] = (None, None)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
         self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1, loop.slope])
@@ -107,13 +108,14 @@ class SampledSimulator:
         maps: SampledMaps = ScalarMaps(loop) if self._by_numpy else HeyokaMaps(loop, vector=False)
         return maps if self._around is None else self._around(maps, loop)
 
-    @cached_property
-    def _single(self) -> SampledSingle | None:
+    def _single(self, plans: bool) -> SampledSingle | None:
         """The loop in C; None where there is no compiler."""
-        try:
-            return SampledSingle(self._compiled)
-        except MethodUnavailable:
-            return None
+        if plans not in self._singles:
+            try:
+                self._singles[plans] = SampledSingle(self._compiled, plans)
+            except MethodUnavailable:
+                self._singles[plans] = None
+        return self._singles[plans]
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate `system`; `progress` gets the time reached."""
@@ -142,15 +144,14 @@ class SampledSimulator:
         )
         progress(0.0, settings.duration, None)
         shared = np.array([schedule.piece_values(t) for t in (0.0, *breaks)])
-        planned = planned_limits(system.law, implementation) is not None
-        maps = PlannedMaps(self.maps, self.loop, system, line) if planned else None
-        record = self._record_in_c(problem, shared, progress)
-        if maps is not None and record is not None:
-            exact = implementation.reads_states and problem.outputs is None
-            record = record if exact and maps.keep_limits(record) else None
+        plans = limited_plans(system, line)
+        record = self._record_in_c(problem, shared, plans, progress)
         outcome, modes = Outcome.finished, None
         if record is None:
-            record, outcome, modes = self._record_by_maps(maps or self.maps, problem, progress)
+            maps = self.maps
+            if plans is not None:
+                maps = PlannedMaps(maps, self.loop, line, plans)
+            record, outcome, modes = self._record_by_maps(maps, problem, progress)
         progress(settings.duration, settings.duration, None)
         slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
         solution = SampledSolution(record.with_a_step(), slopes, len(problem.x))
@@ -174,12 +175,17 @@ class SampledSimulator:
         return line
 
     def _record_in_c(
-        self, problem: SampledProblem, shared: Array, progress: Progress
+        self,
+        problem: SampledProblem,
+        shared: Array,
+        plans: LimitedPlans | None,
+        progress: Progress,
     ) -> StepTable | None:
         """All steps by compiled C; None where that is not worth its while, or cannot do it."""
         if len(problem.timeline.times) < WORTH_COMPILING or not self._in_c:
             return None
-        return None if self._single is None else self._single.record(problem, shared, progress)
+        single = self._single(plans is not None)
+        return None if single is None else single.record(problem, shared, plans, progress)
 
     def _record_by_maps(
         self, maps: SampledMaps, problem: SampledProblem, progress: Progress

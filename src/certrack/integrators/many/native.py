@@ -52,7 +52,13 @@ VECTOR_MATH = (
 
 
 #: What the C files include, by their paths below ``integrators``.
-INCLUDED_FILES = ("vector_math.h", "scalar_math.h", "many/explicit_step.h", "many/implicit_step.h")
+INCLUDED_FILES = (
+    "vector_math.h",
+    "scalar_math.h",
+    "many/explicit_step.h",
+    "many/implicit_step.h",
+    "sampled/plan.h",
+)
 
 
 def vector_compiler() -> str | None:

@@ -17,6 +17,9 @@
  */
 #include "vector_math.h"
 #include "system.h"
+#ifdef PLANNED
+#include "plan.h"
+#endif
 
 enum { NODES = 7, SAMPLE = 1, ACT = 2 };
 
@@ -48,6 +51,9 @@ typedef struct {
   double *end_totals; /* (TOTALS + 1) x count; the last row is the variation of the input */
   double *ends; /* count */
   uint8_t *outcomes; /* count */
+#ifdef PLANNED
+  Plan plan; /* that all members share */
+#endif
 } Task;
 
 /* The state of a group at an event. */
@@ -220,7 +226,18 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
   }
   law_common(SPLAT(t), s, c);
+#ifdef PLANNED
+  V base[MEASURED + 1];
+  plan_base(SPLAT(t), s, m, g->p, g->k, base);
+#endif
   law(c, m, g->p, g->k, &u);
+#ifdef PLANNED
+  for (int l = 0; l < LANES; l++) {
+    double now = u[l], of_lane[MEASURED + 1];
+    for (int j = 0; j <= MEASURED; j++) of_lane[j] = base[j][l];
+    u[l] = keep_plan_limits(&task->plan, g->samples, of_lane, &now) ? now : NAN;
+  }
+#endif
   if (task->input_quantum > 0.0) {
     V low = SPLAT(task->input_low), high = SPLAT(task->input_high);
     u = rounded(u, task->input_quantum);

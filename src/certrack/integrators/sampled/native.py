@@ -27,8 +27,10 @@ from certrack.integrators.many.native_source import (
 )
 from certrack.integrators.sampled import step_control
 from certrack.integrators.sampled.maps import PAIR
+from certrack.integrators.sampled.plans import LimitedPlans, PlanStruct
 from certrack.integrators.sampled.run import SampledProblem
-from certrack.loops.controller import resolved
+from certrack.laws.baselines.mpc import MOVES
+from certrack.loops.controller import planning_base, resolved
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop
 
@@ -70,6 +72,7 @@ class _SampledTask(ctypes.Structure):
             )
         ),
         *((name, ctypes.c_void_p) for name in ("values", "end_totals", "ends", "outcomes")),
+        ("plan", PlanStruct),
     ]
 
 
@@ -105,6 +108,8 @@ class SampledNative:
         Formulas of time, states, parameters and input; kept at the times of interest.
     numbers : mapping
         Values of further parameters, which all members share: other values compile nothing.
+    plans : LimitedPlans, optional
+        Of a law that plans: those of all members.
 
     Raises
     ------
@@ -117,11 +122,13 @@ class SampledNative:
         loop: SampledLoop,
         shown: Sequence[sympy.Expr],
         numbers: Mapping[sympy.Symbol, float] | None = None,
+        plans: LimitedPlans | None = None,
     ) -> None:
+        self._plans = plans
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
         names, values = tuple(numbers or ()), list((numbers or {}).values())
-        header, evaluate = _loop_form(loop, tuple(shown), names)
+        header, evaluate = _loop_form(loop, tuple(shown), names, plans is not None)
         self._library = compiled_library("sampled/native.c", header)
         self._numbers = numbers_of(evaluate, values)
 
@@ -181,6 +188,8 @@ class SampledNative:
             problem.max_state,
             *(array.ctypes.data for array in (values, totals, ends, outcomes)),
         )
+        if self._plans is not None:
+            task.plan = self._plans.struct()
         if self._library.integrate(ctypes.byref(task)):
             raise MemoryError
         return SampledResult(values, totals, ends, outcomes)
@@ -188,22 +197,29 @@ class SampledNative:
 
 @remembered
 def _loop_form(
-    loop: SampledLoop, shown: tuple[sympy.Expr, ...], names: tuple[sympy.Symbol, ...]
+    loop: SampledLoop,
+    shown: tuple[sympy.Expr, ...],
+    names: tuple[sympy.Symbol, ...],
+    plans: bool,
 ) -> tuple[str, NumpyFunction]:
     """The generated part of native.c, and the numbers that it wants, from those of the caller."""
     changed, numbers = hoisted_numbers([*loop.formulas, *shown], set(names))
     fewest = loop.with_formulas(changed[: len(loop.formulas)])
-    header = sampled_header(fewest, changed[len(loop.formulas) :], tuple(numbers.values()))
+    plan = planning_base(fewest.controller) if plans else ()
+    header = sampled_header(fewest, changed[len(loop.formulas) :], tuple(numbers.values()), plan)
     return header, numpy_callable([names], list(numbers))
 
 
 def sampled_header(
-    loop: SampledLoop, shown: Sequence[sympy.Expr], numbers: Sequence[sympy.Symbol] = ()
+    loop: SampledLoop,
+    shown: Sequence[sympy.Expr],
+    numbers: Sequence[sympy.Symbol] = (),
+    plan: Sequence[sympy.Expr] = (),
 ) -> str:
     """The generated part of native.c, as :class:`SampledNative` has its parameters.
 
     Numbers come after the parameters of a member, and again after those of a segment: there they
-    are scalars, for what depends on time alone.
+    are scalars, for what depends on time alone. What a plan rests on comes from ``plan_base``.
     """
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
@@ -250,6 +266,14 @@ def sampled_header(
         return c_function(name, arguments, targets, known)
 
     of_time = "V t, const double *s, V *out"
+    planned = []
+    if plan:
+        known_at = "V t, const double *s, const V *m, const V *p, const V *k, V *out"
+        planned = [
+            "#define PLANNED",
+            c_enum({"PLAN_MOVES": MOVES}),
+            function("plan_base", known_at, ("out", plan), known=sensed),
+        ]
     return with_elementary(
         [
             c_enum(sizes),
@@ -288,5 +312,6 @@ def sampled_header(
                 "const V *c, const V *x, const V *p, V u, V *out",
                 ("out", moving[n + 2 :]),
             ),
+            *planned,
         ]
     )

@@ -5,6 +5,9 @@
  */
 #include "scalar_math.h"
 #include "system.h"
+#ifdef PLANNED
+#include "plan.h"
+#endif
 
 enum { NODES = 7, SIDES = 4, SAMPLE = 1, ACT = 2 };
 
@@ -30,6 +33,9 @@ typedef struct {
   int64_t estimated, most_samples;
   double u; /* that acts */
   int64_t event, samples, commands, steps; /* so far */
+#ifdef PLANNED
+  Plan plan;
+#endif
 } Run;
 
 /* A step from `t` on: what it starts from and what it leads to. */
@@ -136,8 +142,8 @@ static int cross(Run *run, Step *step, double end) {
   return 0;
 }
 
-/* Measure, evaluate the law; the command waits for the actuator. */
-static void take_sample(Run *run, double t, const double *s) {
+/* Measure, evaluate the law; the command waits for the actuator. Whether there is one. */
+static int take_sample(Run *run, double t, const double *s) {
   double m[MEASURED], c[LAW_COMMON + 1], u, *place = run->estimates + run->samples;
   for (int j = 0; j < run->estimated; j++, place += run->most_samples) *place = run->k[j];
   measure(run->x, run->parameters, m);
@@ -146,12 +152,20 @@ static void take_sample(Run *run, double t, const double *s) {
     if (run->quantum[j] > 0.0) m[j] = rint(m[j] / run->quantum[j]) * run->quantum[j];
   }
   law_common(t, s, c);
+#ifdef PLANNED
+  double base[MEASURED + 1];
+  plan_base(t, s, m, run->parameters, run->k, base);
+#endif
   law(c, m, run->parameters, run->k, &u);
+#ifdef PLANNED
+  if (!keep_plan_limits(&run->plan, run->samples, base, &u)) return 0;
+#endif
   if (run->input_quantum > 0.0) {
     u = rint(u / run->input_quantum) * run->input_quantum;
     u = u < run->input_low ? run->input_low : u > run->input_high ? run->input_high : u;
   }
   run->waiting[run->samples++ % run->depth] = u;
+  return 1;
 }
 
 /* Go on to event `until`, or until the record may have no room for the steps to the next one; 0,
@@ -162,7 +176,7 @@ int integrate(Run *run, int64_t until) {
     int64_t now = run->event;
     double t = run->times[now];
     const double *s = run->shared + run->segments[now] * SHARED;
-    if (run->kinds[now] & SAMPLE) take_sample(run, run->clock[now], s);
+    if (run->kinds[now] & SAMPLE && !take_sample(run, run->clock[now], s)) return -1;
     if (run->kinds[now] & ACT) run->u = run->waiting[run->commands++ % run->depth];
     if (now + 1 == run->events) continue;
     if (step.s != s || step.t != t) {

@@ -18,9 +18,11 @@ from certrack.core.progress import Progress, silent
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import packaged
 from certrack.integrators.sampled.native import sampled_header
+from certrack.integrators.sampled.plans import LimitedPlans, PlanStruct
 from certrack.integrators.sampled.run import SampledProblem, sensor_noise
 from certrack.integrators.sampled.solution import StepTable
 from certrack.integrators.sampled.step_control import MAX_INTERVAL_STEPS
+from certrack.loops.controller import planning_base
 from certrack.loops.sampled import SampledLoop
 from certrack.model.noise import normal
 
@@ -60,13 +62,15 @@ class _Run(ctypes.Structure):
         *((name, ctypes.c_int64) for name in ("estimated", "most_samples")),
         ("u", ctypes.c_double),
         *((name, ctypes.c_int64) for name in ("event", "samples", "commands", "steps")),
+        ("plan", PlanStruct),
     ]
 
 
 @remembered
-def _source(loop: SampledLoop) -> str:
+def _source(loop: SampledLoop, plans: bool) -> str:
     """The whole program."""
-    return packaged("sampled/single.c", sampled_header(loop, ()))
+    plan = planning_base(loop.controller) if plans else ()
+    return packaged("sampled/single.c", sampled_header(loop, (), plan=plan))
 
 
 class SampledSingle:
@@ -76,6 +80,8 @@ class SampledSingle:
     ----------
     loop : SampledLoop
         Of a plant that does not switch.
+    plans : bool
+        Whether its law plans the input within limits.
 
     Raises
     ------
@@ -83,16 +89,20 @@ class SampledSingle:
         If no compiler can do it.
     """
 
-    def __init__(self, loop: SampledLoop) -> None:
+    def __init__(self, loop: SampledLoop, plans: bool = False) -> None:
         self._sensors, self._estimates = len(loop.controller.measured), loop.controller.estimates
         try:
-            library = load_library({"single.c": _source(loop)}, SCALAR_FLAGS)
+            library = load_library({"single.c": _source(loop, plans)}, SCALAR_FLAGS)
             self._integrate = function_of(library, "integrate")
         except CompilerError as problem:
             raise MethodUnavailable(str(problem)) from None
 
     def record(
-        self, problem: SampledProblem, shared: Array, progress: Progress = silent
+        self,
+        problem: SampledProblem,
+        shared: Array,
+        plans: LimitedPlans | None = None,
+        progress: Progress = silent,
     ) -> StepTable | None:
         """All steps to the end of a problem of one member; None where `run.py` has to do it.
 
@@ -102,6 +112,8 @@ class SampledSingle:
             Its outputs and pieces are not used.
         shared : (segments, H) array
             Values of the piece symbols from the begin of the run, and from every break on.
+        plans : LimitedPlans, optional
+            Of a law that plans, with contiguous arrays.
         progress : callable
             Gets the time reached, the duration and None.
         """
@@ -143,6 +155,8 @@ class SampledSingle:
             estimated=len(estimates),
             most_samples=samples + 1,
         )
+        if plans is not None:
+            run.plan = plans.struct()
         end = float(line.times[-1])
         while run.event < events:
             if table.shape[1] - 1 - run.steps <= MAX_INTERVAL_STEPS:

@@ -5,11 +5,13 @@ Source: A. Waechter, L. T. Biegler, Mathematical Programming 106 (2006) 25-57.
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,11 @@ from certrack.studies.optimal.program import NonlinearProgram
 #: Iterations at most, and the tolerance of the scaled program.
 MAX_IPOPT_ITERATIONS, TOLERANCE = 500, 1e-8
 
-#: Processor time of one solution at most, s: kinks of the plant may take IPOPT very long.
+#: Time of one solution at most, s: kinks of the plant may take IPOPT very long.
 MAX_SOLUTION_SECONDS = 100.0
+
+#: Why a solution ends that has no time left; and the least that each gets, s.
+OUT_OF_TIME, LEAST_SECONDS = "it did not settle in the time it had", 1.0
 
 #: What IPOPT's words mean.
 MEANINGS = {
@@ -29,7 +34,8 @@ MEANINGS = {
     "Maximum_Iterations_Exceeded": f"it did not settle within {MAX_IPOPT_ITERATIONS} iterations",
     "Restoration_Failed": "it found no way back to what the limits admit",
     "Invalid_Number_Detected": "a formula leaves its domain",
-    "Maximum_CpuTime_Exceeded": f"it did not settle within {MAX_SOLUTION_SECONDS:.0f} s",
+    "Maximum_CpuTime_Exceeded": OUT_OF_TIME,
+    "User_Requested_Stop": OUT_OF_TIME,
 }
 
 
@@ -54,7 +60,9 @@ class SolverAnswer:
     minimum: float
 
 
-def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> SolverAnswer:
+def minimise(
+    ca: Any, program: NonlinearProgram, called: Callable[[], None], seconds: float = math.inf
+) -> SolverAnswer:
     """Solve a program.
 
     Parameters
@@ -64,7 +72,11 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
     program : NonlinearProgram
     called : callable
         Called at every iteration; an exception that it raises ends the search and is raised again.
+    seconds : float
+        After which it ends, too.
     """
+    seconds = min(MAX_SOLUTION_SECONDS, max(seconds, LEAST_SECONDS))
+    end = monotonic() + seconds
     problem = {"x": program.vector, "f": program.objective, "g": program.constraints}
     raised: list[BaseException] = []
     arrived: list[int] = []
@@ -98,7 +110,7 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
                 called()
             except BaseException as problem:
                 raised.append(problem)
-            return [1 if raised or arrived else 0]
+            return [1 if raised or arrived or monotonic() > end else 0]
 
     reporter = Reporter()
     solver = ca.nlpsol(
@@ -112,7 +124,7 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
                 "print_level": 0,
                 "sb": "yes",
                 "max_iter": MAX_IPOPT_ITERATIONS,
-                "max_cpu_time": MAX_SOLUTION_SECONDS,
+                "max_cpu_time": seconds,
                 "tol": TOLERANCE,
             },
         },

@@ -3,6 +3,8 @@
 Kinks of the plant in its states (abs, min, max and the sign of dry friction) have no slope that a
 search could follow over them. They are therefore smoothed first, |a| by sqrt(a^2 + eps^2) and
 sign(a) by a/sqrt(a^2 + eps^2), and eps falls from solution to solution, each from the one before.
+A kink that is hardly smoothed wants short elements where it is passed: those that the plant leaves
+are divided until it follows, before eps falls further.
 """
 
 from __future__ import annotations
@@ -10,12 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from time import monotonic
 from typing import Any
 
 import numpy as np
 
 from certrack.core.arrays import Array
-from certrack.studies.optimal.collocation import CollocationGrid, gauss_scheme
+from certrack.studies.optimal.collocation import CollocationGrid, gauss_scheme, radau_scheme
 from certrack.studies.optimal.goal import Goal
 from certrack.studies.optimal.ipopt import SolverAnswer, minimise
 from certrack.studies.optimal.law_run import LawRun
@@ -45,73 +48,119 @@ MINIMUM_CHANGE = 3e-3
 #: An optimum is none if the plant deviates from it by more than this part of a state's magnitude.
 FOLLOWED = 1e-3
 
+#: Elements that it leaves by so many times this are cut into four, others into two.
+SPLIT_MORE = 10.0
 
-def finest(
-    ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
-) -> tuple[SolvedMesh, float | None]:
+
+@dataclass(frozen=True)
+class SearchRoom:
+    """How far a search may go.
+
+    Attributes
+    ----------
+    ca : module
+        ``casadi``.
+    goal : Goal
+    elements : int
+        Of a mesh at most.
+    ends_at : float, s
+        Of :func:`time.monotonic`.
+    called : callable
+        Called at every iteration.
+    """
+
+    ca: Any
+    goal: Goal
+    elements: int
+    ends_at: float
+    called: Callable[[], None]
+
+    @property
+    def left(self) -> float:
+        """Time that is left, s."""
+        return self.ends_at - monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no time is left."""
+        return self.left <= 0
+
+
+def finest(room: SearchRoom, law_run: LawRun) -> tuple[SolvedMesh, float | None]:
     """Search from the law's run, then from the optimum of each mesh on one twice as fine.
 
     Also the change of the minimum with the last mesh, relative; None of a single mesh. Kinks are as
-    little smoothed as the plant follows.
+    little smoothed as the plant follows. Where the time is over, it is the last one that was found.
     """
-    law_run = replace(law_run, over_time=goal.minimised == "time")
-    for first in reversed(_smoothed_less(ca, law_run, goal, called)):
-        search, change = _refined(ca, first, goal, elements, called)
-        if search.answer.converged and search.played.deviation <= FOLLOWED:
+    law_run = replace(law_run, over_time=room.goal.minimised == "time")
+    widths = SMOOTHINGS if law_run.has_kinks else (0.0,)
+    best = _coarsest(room, replace(law_run, smoothing=widths[0]))
+    if law_run.has_kinks:
+        best = _followed(room, best)
+    for smoothing in widths[1:]:
+        if not best.is_optimum or room.is_over:
             break
-    return search, change
+        sharper = replace(law_run, smoothing=smoothing)
+        first = solve_mesh(room, sharper, best.ends, best.motion, stiff=best.stiff)
+        found = _followed(room, first)
+        if not found.is_optimum:
+            break
+        best = found
+    return _refined(room, best)
 
 
-def _refined(
-    ca: Any, search: SolvedMesh, goal: Goal, elements: int, called: Callable[[], None]
-) -> tuple[SolvedMesh, float | None]:
-    """The optimum of the finest mesh, and the change of the minimum with it."""
-    law_run, count, change = search.law_run, FIRST_ELEMENTS, None
-    while search.answer.converged and count < elements:
-        settled = change is not None and change < MINIMUM_CHANGE
-        if settled and search.played.deviation < FOLLOWED:
+def _followed(room: SearchRoom, search: SolvedMesh) -> SolvedMesh:
+    """The optimum where elements that the plant leaves too far are halved or quartered."""
+    while search.answer.converged and not search.is_followed and not room.is_over:
+        defects = search.played.defects
+        parts = np.where(defects > SPLIT_MORE * FOLLOWED, 4, np.where(defects > FOLLOWED, 2, 1))
+        if parts.sum() > room.elements:
             break
-        count = min(2 * count, elements)
-        finer = solve_mesh(ca, law_run, goal, count, search.motion, called)
+        ends, stiff = _divided(search.ends, parts), search.law_run.has_jumping_rates
+        finer = solve_mesh(room, search.law_run, ends, search.motion, stiff=stiff)
         if not finer.answer.converged:
+            break
+        search = finer
+    return search
+
+
+def _divided(ends: Array, parts: Array) -> Array:
+    """Ends of elements, each cut into so many equal ones."""
+    pieces = [
+        np.linspace(a, b, count, endpoint=False)
+        for a, b, count in zip(ends[:-1], ends[1:], parts, strict=True)
+    ]
+    return np.append(np.concatenate(pieces), ends[-1])
+
+
+def _refined(room: SearchRoom, search: SolvedMesh) -> tuple[SolvedMesh, float | None]:
+    """The optimum of the finest mesh, and the change of the minimum with it."""
+    change: float | None = None
+    count = search.elements if search.law_run.smoothing else FIRST_ELEMENTS
+    while search.answer.converged and count < room.elements and not room.is_over:
+        settled = change is not None and change < MINIMUM_CHANGE
+        if settled and search.is_followed:
+            break
+        count = min(2 * count, room.elements)
+        ends = mesh_of(search.law_run, search.motion, count)
+        finer = solve_mesh(room, search.law_run, ends, search.motion, stiff=search.stiff)
+        if search.law_run.smoothing:
+            finer = _followed(room, finer)
+        if not finer.answer.converged or (search.is_followed and not finer.is_followed):
             break  # a coarser optimum is one, too
         floor = max(abs(search.minimum), abs(finer.minimum), NEGLIGIBLE_MINIMUM)
         search, change = finer, abs(finer.minimum - search.minimum) / floor
     return search, change
 
 
-def _smoothed_less(
-    ca: Any, law_run: LawRun, goal: Goal, called: Callable[[], None]
-) -> list[SolvedMesh]:
-    """The first mesh, with kinks smoothed less and less, up to where the search finds no optimum.
-
-    Where nothing is to be smoothed, or the first search finds none, that is all.
-    """
-    if not law_run.has_kinks:
-        return [_coarsest(ca, law_run, goal, FIRST_ELEMENTS, called)]
-    widest = replace(law_run, smoothing=SMOOTHINGS[0])
-    searches = [_coarsest(ca, widest, goal, FIRST_ELEMENTS, called)]
-    for smoothing in SMOOTHINGS[1:]:
-        last = searches[-1]
-        if last.answer.converged:
-            sharper = replace(law_run, smoothing=smoothing)
-            solved = solve_mesh(ca, sharper, goal, FIRST_ELEMENTS, last.motion, called)
-            if not solved.answer.converged:
-                break
-            searches.append(solved)
-    return searches
-
-
-def _coarsest(
-    ca: Any, law_run: LawRun, goal: Goal, count: int, called: Callable[[], None]
-) -> SolvedMesh:
+def _coarsest(room: SearchRoom, law_run: LawRun) -> SolvedMesh:
     """The first mesh; the shortest time is sought within the law's, then within the horizon."""
     ends = [law_run.horizon]
-    if goal.minimised == "time" and 0 < law_run.law.time < law_run.horizon:
+    if room.goal.minimised == "time" and 0 < law_run.law.time < law_run.horizon:
         ends.insert(0, law_run.law.time)
     for end in ends:
         motion = PlantMotion(law_run.states, law_run.inputs, end)
-        search = solve_mesh(ca, law_run, goal, count, motion, called)
+        search = solve_mesh(room, law_run, mesh_of(law_run, motion, FIRST_ELEMENTS), motion)
         if search.answer.converged:
             break
     return search
@@ -132,6 +181,8 @@ class SolvedMesh:
         States and inputs on the mesh.
     motion : PlantMotion
         The same as functions of the time.
+    stiff : bool
+        Whether by Radau's points: what the plant does not follow by those of Gauss may be stiff.
     """
 
     law_run: LawRun
@@ -140,6 +191,22 @@ class SolvedMesh:
     ends: Array
     values: GridValues
     motion: PlantMotion
+    stiff: bool = False
+
+    @property
+    def elements(self) -> int:
+        """Their number."""
+        return len(self.ends) - 1
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether the plant follows it."""
+        return self.played.deviation <= FOLLOWED
+
+    @property
+    def is_optimum(self) -> bool:
+        """Whether a search ended here, and the plant follows it."""
+        return self.answer.converged and self.is_followed
 
     @property
     def minimum(self) -> float:
@@ -153,23 +220,23 @@ class SolvedMesh:
         return replay(self.law_run, self.ends, values.inputs, values.begins, self.of_time)
 
 
+def mesh_of(law_run: LawRun, motion: PlantMotion, elements: int) -> Array:
+    """The ends of about so many elements, dense where the input of a motion moves."""
+    times = np.linspace(0.0, motion.end, MESH_SAMPLES)
+    breaks = law_run.breaks[law_run.breaks < motion.end]
+    return mesh(times, motion.inputs(times), elements, breaks)
+
+
 def solve_mesh(
-    ca: Any,
-    law_run: LawRun,
-    goal: Goal,
-    elements: int,
-    first: PlantMotion,
-    called: Callable[[], None],
+    room: SearchRoom, law_run: LawRun, ends: Array, first: PlantMotion, *, stiff: bool = False
 ) -> SolvedMesh:
-    """Solve on the mesh that a motion makes, from that motion."""
-    times = np.linspace(0.0, first.end, MESH_SAMPLES)
-    breaks = law_run.breaks[law_run.breaks < first.end]
-    grid = CollocationGrid(mesh(times, first.inputs(times), elements, breaks), gauss_scheme())
+    """Solve on a mesh, from a motion."""
+    grid = CollocationGrid(ends, radau_scheme() if stiff else gauss_scheme())
     guess = guess_on(grid, first)
-    program = transcribe(ca, law_run, goal, grid, guess)
-    answer = minimise(ca, program, called)
+    program = transcribe(room.ca, law_run, room.goal, grid, guess)
+    answer = minimise(room.ca, program, room.called, room.left)
     values, stretch = solution(guess, answer.vector)
     stretched = CollocationGrid(grid.ends * stretch, grid.scheme)
-    of_time = goal.minimised == "time"
+    of_time = room.goal.minimised == "time"
     motion = motion_on(stretched, values)
-    return SolvedMesh(law_run, answer, of_time, stretched.ends, values, motion)
+    return SolvedMesh(law_run, answer, of_time, stretched.ends, values, motion, stiff)

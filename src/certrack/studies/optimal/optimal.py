@@ -10,8 +10,9 @@ another method. It is a local optimum, found and not proven.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from certrack.core import checks
@@ -28,9 +29,13 @@ from certrack.studies.optimal.mesh_search import (
     FIRST_ELEMENTS,
     FOLLOWED,
     NEGLIGIBLE_MINIMUM,
+    SearchRoom,
     finest,
 )
 from certrack.systems.system import System, require_system
+
+#: All searches may take so long, s.
+OPTIMA_SECONDS = 300.0
 
 #: The most that may be asked for.
 MAX_ELEMENTS = 20_000
@@ -71,6 +76,8 @@ class Optimum:
     smoothing : float
         eps of the kinks, as a part of the largest size of their arguments in the law's run; 0 where
         nothing is smoothed.
+    timed_out : bool
+        Whether the search ended because its time was over: longer, it might have found less.
     """
 
     goal: Goal
@@ -86,6 +93,7 @@ class Optimum:
     mesh_error: float | None
     deviation: float
     smoothing: float = 0.0
+    timed_out: bool = False
 
     @property
     def minimum(self) -> float:
@@ -102,6 +110,7 @@ class Optimum:
             "mesh_error": self.mesh_error,
             "deviation": self.deviation,
             "smoothing": self.smoothing,
+            "timed_out": self.timed_out,
         }
 
 
@@ -177,6 +186,7 @@ def optimal(
     peak_input: float | None = None,
     horizon: float | None = None,
     elements: int = ELEMENTS,
+    time_limit: float = OPTIMA_SECONDS,
     progress: Progress = silent,
 ) -> Optima:
     """Find the best possible trajectories of a system's true plant, and compare its law.
@@ -197,6 +207,8 @@ def optimal(
         End of the runs; by default the duration of the file's simulation.
     elements : int
         Of the last mesh at most: on each the input is a line.
+    time_limit : float, s
+        Of all searches together; then each optimum is the last one that was found.
     progress : callable
         Called as ``progress(done, total, iterations)`` with the searches that are done, and the
         iterations of the one that goes on.
@@ -229,7 +241,8 @@ def optimal(
     limits = {"squared_error": squared_error, "energy": energy, "peak": peak_input}
     goal = None if objective is None else Goal(objective, **limits)
     stated = {"squared_error": squared_error, "energy": energy, "peak_input": peak_input}
-    for key, value in (stated | {"horizon": horizon}).items():
+    stated |= {"horizon": horizon, "time_limit": time_limit}
+    for key, value in stated.items():
         if value is not None:
             checks.real(key, value, above=0)
     ca = casadi("the search for optimal trajectories")
@@ -239,7 +252,7 @@ def optimal(
         raise InputError(
             "objective", "the run begins at the reference: no time is needed to reach it", "time"
         )
-    optima = []
+    optima, begin = [], monotonic()
     for i, one in enumerate(goals):
         progress(i, len(goals), None)
         iterations = itertools.count(1)
@@ -247,7 +260,9 @@ def optimal(
         def called(i: int = i, iterations: Iterator[int] = iterations) -> None:
             progress(i, len(goals), next(iterations))
 
-        optima.append(_optimum(ca, law_run, one, count, called))
+        left = time_limit - (monotonic() - begin)  # what one does not need is the others'
+        ends_at = monotonic() + left / (len(goals) - i)
+        optima.append(_optimum(SearchRoom(ca, one, count, ends_at, called), law_run))
     progress(len(goals), len(goals), None)
     return Optima(law_run.run, law_run.law, tuple(optima))
 
@@ -262,17 +277,16 @@ def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tu
     )
 
 
-def _optimum(
-    ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
-) -> Optimum:
+def _optimum(room: SearchRoom, law_run: LawRun) -> Optimum:
     """The optimum of the finest mesh that was solved, and what the plant does with its input."""
-    search, change = finest(ca, law_run, goal, elements, called)
+    search, change = finest(room, law_run)
+    timed_out = room.is_over
     played, converged, reason = search.played, search.answer.converged, search.answer.reason
     if converged and played.deviation > FOLLOWED:
         converged, reason = False, "the plant does not follow what the program takes for its motion"
     system = law_run.system
     return Optimum(
-        goal=goal,
+        goal=room.goal,
         converged=converged,
         reason=reason,
         cost=played.cost,
@@ -285,4 +299,5 @@ def _optimum(
         mesh_error=change,
         deviation=played.deviation,
         smoothing=search.law_run.smoothing,
+        timed_out=timed_out,
     )

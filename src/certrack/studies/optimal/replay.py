@@ -35,15 +35,20 @@ class Replay:
     times : (N,) array, s
     states : (S, N) array
         NaN where the integrator gave up.
-    deviation : float
-        Largest difference between the end of an element and the begin of the next, over the
-        largest magnitude of each state.
+    defects : (E,) array
+        Difference between the end of each element and the begin of the next, over the largest
+        magnitude of each state, the largest of all states; inf from where the integrator gave up.
     """
 
     cost: TrajectoryCost
     times: Array
     states: Array
-    deviation: float
+    defects: Array
+
+    @property
+    def deviation(self) -> float:
+        """The largest defect."""
+        return float(self.defects.max())
 
 
 def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: bool) -> Replay:
@@ -74,7 +79,8 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: 
 
     largest = np.abs(begins).max(axis=1)
     scale = np.where(largest > 0, largest, 1.0)
-    times, table, squared, deviation = [ends[:1]], [law_run.start[:, None]], 0.0, 0.0
+    times, table, squared = [ends[:1]], [law_run.start[:, None]], 0.0
+    defects = np.full(len(ends) - 1, math.inf)
     states = law_run.start
     for k, (begin, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         first, last = inputs[:, k]
@@ -94,16 +100,15 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: 
         times.append(at)
         if not piece.success:
             table.append(np.full((len(scale), SAMPLES_PER_ELEMENT), np.nan))
-            deviation = math.inf
             break
         table.append(piece.y[:-1])
         squared += float(piece.y[-1, -1])
-        defect = np.abs(piece.y[:-1, -1] - begins[:, k + 1]) / scale
-        deviation, states = max(deviation, float(defect.max())), begins[:, k + 1]
+        defects[k] = (np.abs(piece.y[:-1, -1] - begins[:, k + 1]) / scale).max()
+        states = begins[:, k + 1]
     cost = TrajectoryCost(
         squared_error=squared,
         energy=float(np.diff(ends) @ (inputs[0] ** 2 + inputs[0] * inputs[1] + inputs[1] ** 2)) / 3,
         peak=float(np.abs(inputs).max()),
         time=float(ends[-1]) if arrival else math.nan,
     )
-    return Replay(cost, np.concatenate(times), np.concatenate(table, axis=1), deviation)
+    return Replay(cost, np.concatenate(times), np.concatenate(table, axis=1), defects)

@@ -39,7 +39,7 @@ def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
     if name == "alone":
         return SingleRuns()
     system = problem.system
-    if planned_limits(system.law, system.implementation) is not None:
+    if name != "native" and planned_limits(system.law, system.implementation) is not None:
         raise MethodUnavailable("the mpc law plans its input sample by sample")
     if name == "implicit" and system.implementation is not None:
         raise MethodUnavailable(

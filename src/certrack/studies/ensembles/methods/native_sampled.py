@@ -9,6 +9,7 @@ import numpy as np
 from certrack.integrators.base import MemberOutcome, MethodUnavailable
 from certrack.integrators.sampled.native import SampledNative
 from certrack.integrators.sampled.run import SampledProblem
+from certrack.simulation.planned_input import limited_plans
 from certrack.studies.ensembles.methods.base import MemberResults
 from certrack.studies.ensembles.methods.sampled_base import (
     TOTALS,
@@ -38,7 +39,10 @@ class NativeSampled(SampledMethod):
         super().__init__(problem, threads, adjustable=adjustable)
         if self.surfaces is not None:
             raise MethodUnavailable("sign() of a state makes the plant slide: not in compiled C")
-        self._native = SampledNative(self.loop, self.shown, self.numbers)
+        plans = limited_plans(problem.system, self.timeline)
+        if plans is not None and self.varies_what_is_planned:
+            raise MethodUnavailable("members whose plans of the input differ run alone")
+        self._native = SampledNative(self.loop, self.shown, self.numbers, plans)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         firsts = range(begin - begin % PART_MEMBERS, end, PART_MEMBERS)

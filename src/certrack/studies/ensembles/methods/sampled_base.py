@@ -24,6 +24,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
 from certrack.studies.ensembles.build_flow import open_numbers
+from certrack.studies.ensembles.members import AMPLITUDE
 from certrack.studies.ensembles.methods.base import MemberResults, Method
 from certrack.studies.ensembles.metric_formulas import (
     IN_TAIL,
@@ -99,7 +100,7 @@ class SampledMethod(Method):
         loop = replace(loop, parameters=(*of_members, SETTLING_BAND), pieces=pieces)
         self.loop, self.surfaces = with_modes(loop)
         self.shown = (loop.e_1, *loop.plant.outputs, INPUT)
-        self._timeline = self._timeline_under(self._implementation)
+        self.timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)
 
     #: Whether numbers that all members share stay symbols in the formulas, as :attr:`numbers`.
@@ -107,6 +108,13 @@ class SampledMethod(Method):
 
     #: Whether the maps want whole vector registers of members.
     whole_registers = True
+
+    @property
+    def varies_what_is_planned(self) -> bool:
+        """Whether a law that plans ahead knows other numbers in every member."""
+        reference = self._system.reference.parameter_symbols
+        planned = {AMPLITUDE, *reference, *self._controller.parameters}
+        return not planned.isdisjoint(self.problem.varying)
 
     @abstractmethod
     def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
@@ -185,7 +193,7 @@ class SampledMethod(Method):
     ) -> SampledProblem:
         """Members from `first` on; under another implementation, if one is given."""
         loop, count = self.loop, starts.shape[1]
-        events = self._timeline
+        events = self.timeline
         if implementation is not None:
             events = self._timeline_under(implementation)
         implementation = implementation or self._implementation
