@@ -102,10 +102,10 @@ def finest(room: SearchRoom, law_run: LawRun) -> tuple[SolvedMesh, float | None]
             break
         sharper = replace(law_run, smoothing=smoothing)
         first = solve_mesh(room, sharper, best.ends, best.motion, stiff=best.stiff)
-        found = _followed(room, first)
-        if not found.is_optimum:
+        solved = _followed(room, first)
+        if not solved.is_optimum:
             break
-        best = found
+        best = solved
     return _refined(room, best)
 
 
