@@ -159,6 +159,36 @@ def test_a_lean_law_solves_the_riccati_equation_of_its_cost(n):
     assert np.abs(wrong - np.eye(n)).max() > 1e-3
 
 
+@pytest.mark.parametrize("n", range(1, 9))
+def test_the_cost_of_random_lean_laws_is_that_of_their_riccati_equation_to_rounding(n):
+    """X = I, so J* = |e(0)|^2: in error coordinates, and as A^T A in those of the plant."""
+    for seed in range(20):
+        design = random_design(100 * n + seed, n, seed % n)
+        cost = optimal_cost(Robust(c=tuple(design.c)), LEAN.plant, design)
+        M, k = freed_loop(design)
+        last = np.eye(n)[:, -1:]
+        residual = M.T + M - last @ last.T / cost.input + np.diag(cost.state)
+        size = np.abs(design.error_matrix).max()
+        assert np.abs(residual).max() < 1e-12 * size
+        assert np.abs(last[:, 0] / cost.input - k).max() < 1e-12 * size
+        A = design.A
+        F = np.linalg.solve(A, M @ A)  # of x - x_d
+        X, through = A.T @ A, A.T @ last
+        terms = F.T @ X, X @ F, through @ through.T / cost.input, cost.of_states
+        in_plant = terms[0] + terms[1] - terms[2] + terms[3]
+        assert np.abs(in_plant).max() < 1e-12 * n * max(np.abs(term).max() for term in terms)
+
+
+@pytest.mark.parametrize("name", ["dual-motor-lean", "point-to-point", "example1"])
+def test_the_cost_of_a_lean_law_is_exact_in_rationals(name):
+    """M + M^T = -2 diag(c + kappa): with X = I all that is asked of the cost."""
+    design = error_coordinates(certrack.load(name), rational)
+    decay = design.c + design.kappa
+    symmetric = design.error_matrix + design.error_matrix.T
+    for i, j in np.ndindex(symmetric.shape):
+        assert symmetric[i, j] == (-2 * decay[i] if i == j else 0)
+
+
 def test_a_balanced_design_has_its_cost_in_its_own_units():
     system = certrack.load("flexible-joint")
     law = replace(system.law, coupling=0.5)
