@@ -186,14 +186,16 @@ def test_the_factors_solve_the_system(matrix, timed):
 
 
 def test_a_small_pivot_does_not_hold():
-    """x' = a x with h a near 1/gamma; shorter steps hold."""
+    """x' = a x with h a near 1/gamma, or beyond it, where a step would damp what grows."""
     _, text = triangular_factors(1, [(0, 0)])
     critical = 1 / RODAS5P.gamma
     for value, expected in (
         (critical, False),
         (critical * (1 + 0.5 * LEAST_PIVOT), False),
         (critical * (1 - 2 * LEAST_PIVOT), True),
-        (critical * (1 + 2 * LEAST_PIVOT), True),
+        (critical * (1 + 2 * LEAST_PIVOT), False),
+        (10 * critical, False),
+        (-10 * critical, True),
         (math.nan, False),
     ):
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_ensembles import identical
@@ -10,6 +12,7 @@ import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.many.native import vector_compiler
 from certrack.studies.ensembles.engine import STEPS_PER_IMPLICIT, Engine, fastest, is_stiff
+from certrack.studies.ensembles.error_limit import is_certified
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
 
@@ -193,3 +196,74 @@ def test_the_adaptive_law_on_a_long_chain():
         for method in ("native", "implicit"):
             found = final_states(system, method, 1e-8, index, index + 1)[:, 0]
             np.testing.assert_allclose(found, exact, atol=1e-6)
+
+
+AXIS = """
+[plant]
+states = ["q", "v"]
+chain = [1]
+gain_sign = 1
+input_gain = 1
+[plant.constants]
+at = 64.37
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 1.5]
+[truth]
+input_gain = 1
+omega = [0, "{omega}"]
+[reference]
+signal = "0.01*sin(0.02*t)"
+[law]
+kind = "robust"
+c = [1, {pole}]
+[simulation]
+x0 = [0.1, 0]
+duration = 90
+tail = 50
+max_state = 100
+[ensemble]
+x0 = [{{uniform = [-0.03, 0.03]}}, {{uniform = [-0.02, 0.02]}}]
+disturbance = "file"
+"""
+
+
+def test_implicit_steps_do_not_damp_what_runs_away():
+    """At rest until 60 s, then driven away by a pole that long steps would damp."""
+    omega = "500*v*(1 + sign(t - 60))/2 + 1e-4*cos(0.01*t)"
+    system = certrack.loads(AXIS.format(omega=omega, pole=60))
+    for method in (None, "implicit", "native"):
+        found = certrack.ensemble(system, 32, method=method, limit=np.inf)
+        assert found.statistics.outcomes == {"escaped": 32}, method
+
+
+def test_implicit_steps_are_chosen_where_a_certificate_covers_all_members():
+    calm = certrack.loads(AXIS.format(omega="0.5*sin(0.01*t)", pole=60))
+    plan = plan_of(calm)
+    assert is_certified(calm) and is_stiff(plan, plan.registered)
+    stronger = calm.replace(truth=replace(calm.truth, omega=("0", "2*sin(0.01*t)")))
+    plan = plan_of(stronger)
+    assert not is_certified(stronger) and not is_stiff(plan, plan.registered)
+
+
+def test_a_pulse_whose_time_is_drawn_is_not_passed_over():
+    text = AXIS.format(omega="1.4*exp(-((t - at)/0.1)**2)", pole=40)
+    text += "constants = {at = {uniform = [64.3, 66.5]}}\n"
+    system = certrack.loads(text)
+    assert fastest(plan_of(system), 1).plan.method == "native"
+    found = certrack.ensemble(system, 32, limit=0.003)
+    assert found.violations()["count"] == 32
+
+
+def test_one_member_that_stops_does_not_hold_up_its_group():
+    """Of 1 in 32 the Jacobian has no value at the start; it alone is run by itself."""
+    text = AXIS.format(omega="0.3*sqrt(abs(v)) + 0.1*cos(t)", pole=60)
+    system = certrack.loads(
+        text.replace("{uniform = [-0.02, 0.02]}", "{empirical = [0, 0.1, 0.2]}")
+    )
+    engine = Engine(
+        plan_of(system.replace(settings=replace(system.settings, duration=2, tail=1)), "implicit")
+    )
+    results = engine.method.compute(0, 32, engine.plan.empty().bands)
+    assert 0 < results.run_alone.sum() < 32

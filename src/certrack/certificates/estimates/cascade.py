@@ -35,6 +35,9 @@ from certrack.certificates.search.shift import best_shift_nearby, best_shifts
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, fastest_rate
 from certrack.systems.system import System
 
+#: Beside a shift from nearby, one so much smaller and larger is tried where it ends at a kink.
+SHIFT_RATIO = 1.06
+
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
 
@@ -142,12 +145,17 @@ def _centred(
         if nearby is not None:
             kappa, solution = nearby
             return solution, kappa, problems.at(kappa)
-    for kappa, alpha in best_shifts(problems, reached.alpha, target, reached.bound)[:1]:
+        pairs = [(near.shift * r, near.centred.alpha) for r in (1, SHIFT_RATIO, 1 / SHIFT_RATIO)]
+    else:
+        pairs = best_shifts(problems, reached.alpha, target, reached.bound)[:1]
+    entries = []
+    for kappa, alpha in pairs:
         shift = float(f"{kappa:.{SHIFT_DIGITS}g}")
         centred = problems.at(shift)
         best = best_by_slope(SemidefiniteProgram(centred, target), alpha)
-        return None if best is None else (best, shift, centred)
-    return None
+        if best is not None:
+            entries.append((best, shift, centred))
+    return min(entries, key=lambda entry: entry[0].bound, default=None)
 
 
 def _as_proof(solution: Solution) -> Proof:

@@ -69,6 +69,7 @@ def quasi_newton(
     x: np.ndarray,
     accuracy: float,
     inverse: np.ndarray | None = None,
+    shortest: float = SHORTEST,
 ) -> Lowest | None:
     """The lowest point that is reached; None if the function does not exist at the start.
 
@@ -82,6 +83,8 @@ def quasi_newton(
         It ends where a step promises to lower the function by less.
     inverse : array, optional
         About the inverse Hessian.
+    shortest : float
+        It ends where so small a part of a step would have to be taken, as at a kink.
     """
     here = function(x)
     if here is None:
@@ -102,7 +105,7 @@ def quasi_newton(
             if there is not None and there.value <= here.value + DESCENT_SHARE * length * slope:
                 break
             length *= SHORTER
-            if length < SHORTEST:
+            if length < shortest:
                 return Lowest(x, here, B, -slope / 2)
         moved, turned = length * step, there.gradient - here.gradient
         x, here = x + moved, there

@@ -22,6 +22,9 @@ SHIFT_STEP = 1e-4
 #: By how much the descent may leave log bound^2 above the lowest, from afar and from nearby.
 SHIFT_ACCURACY, NEARBY_SHIFT_ACCURACY = 1e-7, 1e-6
 
+#: From nearby a step is not shortened further than this: the lowest point is a kink.
+NEARBY_SHORTEST = 0.05
+
 #: About the second derivatives of log bound^2 by log alpha and by log kappa.
 ASSUMED_CURVATURE = (1.0, 0.3)
 
@@ -41,7 +44,7 @@ def best_shifts(
 ) -> list[tuple[float, float]]:
     """Pairs of kappa and alpha, the best first; empty where no kappa has a solution.
 
-    Empty also where a bound that falls with kappa to zero as a straight line does would end there
+    Empty also where a bound that falls as kappa goes to zero would end there, as a straight line,
     above the one that needs no centre: such a descent creeps towards zero.
 
     Parameters
@@ -64,7 +67,7 @@ def best_shifts(
         return []
     _, first, program, point = min(starts, key=lambda start: start[:2])
     here = _point_with_slopes(centred, first, alpha, program, point)
-    if here is not None and here.value - here.gradient[1] > 2 * math.log(bound):
+    if here is not None and 0 < here.gradient[1] < here.value - 2 * math.log(bound):
         return []
 
     def at(x: np.ndarray) -> _ShiftedPoint | None:
@@ -81,7 +84,8 @@ def best_shift_nearby(
 ) -> tuple[float, Solution] | None:
     """The best kappa and its solution, by a descent from those of a design nearby.
 
-    None where these have no solution here.
+    None where these have no solution here, or the descent ends at a kink: there the bound rises to
+    both sides, and the best kappa is where two functions meet, which slopes do not tell.
 
     Parameters
     ----------
@@ -98,8 +102,9 @@ def best_shift_nearby(
     def at(x: np.ndarray) -> _ShiftedPoint | None:
         return _point(centred, kappa, x, target, scaling)
 
-    lowest = quasi_newton(at, np.array([math.log(alpha), 0.0]), NEARBY_SHIFT_ACCURACY)
-    if lowest is None:
+    start = np.array([math.log(alpha), 0.0])
+    lowest = quasi_newton(at, start, NEARBY_SHIFT_ACCURACY, shortest=NEARBY_SHORTEST)
+    if lowest is None or lowest.left > NEARBY_SHIFT_ACCURACY:
         return None
     assert isinstance(lowest.point, _ShiftedPoint)
     return kappa * math.exp(lowest.x[1]), lowest.point.solution

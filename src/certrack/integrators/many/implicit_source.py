@@ -175,7 +175,7 @@ def triangular_factors(size: int, places: Sequence[Place]) -> tuple[TriangularFa
         beside[pivot] = tuple(column for column in left if (pivot, column) in filled)
         value = _entry(pivot, pivot)
         lines += [
-            f"  holds &= v_abs({value}) >= SPLAT({LEAST_PIVOT!r} / GAMMA);",
+            f"  holds &= {value} >= SPLAT({LEAST_PIVOT!r} / GAMMA);",
             f"  V {_inverse(pivot)} = 1.0 / {value};",
         ]
         for row in below[pivot]:

@@ -18,7 +18,8 @@
  *   solve(m, d, weight, f)              from the right-hand sides f, plus weight d, to the solution
  * where pivots are those of the diagonal, in an order that keeps zeros zero. As h falls the matrix
  * becomes 1/GAMMA, so a lane whose pivot is too small takes a shorter step like one whose error is
- * too large.
+ * too large. A negative one is too small: behind it is a real pole of the right half plane that the
+ * step is too long for, and L-stable steps would damp what grows.
  */
 static const double PER_ORDER = 0.2;
 

@@ -426,8 +426,11 @@ static void integrate_group(const Task *task, Group *g, Step *s) {
       factor = factor > MAX_FACTOR ? MAX_FACTOR : factor > MIN_FACTOR ? factor : MIN_FACTOR;
       int hopeless = ++g->steps >= task->max_steps || end <= g->t + SHORTEST * fabs(g->t);
       if (!(worst <= 1.0)) {
-        if (hopeless) give_up(g, task, s);
         h = s->h * (factor < SAFETY ? factor : SAFETY);
+        if (hopeless) {
+          give_up(g, task, s);
+          h = first_step(g, task->tolerance); /* of the others: theirs need not be so short */
+        }
         continue;
       }
       double part = SURFACES ? first_event(g, s, shared) : 2.0;
@@ -438,7 +441,10 @@ static void integrate_group(const Task *task, Group *g, Step *s) {
         final = end >= stop;
         if (final) end = stop;
         common_along(g->t, s->h, shared, s->c);
-        try_step(g, task->tolerance, s);
+        if (!(try_step(g, task->tolerance, s) < INFINITY)) {
+          h = MIN_FACTOR * s->h;
+          continue;
+        }
         factor = 1.0 / part < MAX_FACTOR ? 1.0 / part : MAX_FACTOR;
       }
       update_along(g, task, s, shared, end, stop);

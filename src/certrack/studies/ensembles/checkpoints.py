@@ -100,7 +100,8 @@ class Checkpoints:
                 str(self.folder),
                 "holds another ensemble: its system, seed, tolerance, limit, method, revision of "
                 "the method or version differs",
-                remedy="Choose another --out or delete the folder",
+                remedy="Choose another --out or delete the folder, or state the method that it was "
+                "begun with (method= in Python)",
             )
 
     def _manifest(self) -> str:

@@ -12,6 +12,7 @@ from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.integrators.pairs import DOP853
 from certrack.simulation.run import Run
+from certrack.studies.ensembles.error_limit import is_certified
 from certrack.studies.ensembles.methods.choice import create_method
 from certrack.studies.ensembles.methods.native_continuous import NativeContinuous
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, signals_of
@@ -163,12 +164,17 @@ def fastest(plan: Plan, threads: int) -> Engine:
 
 @remembered
 def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
-    """Whether implicit steps are so much fewer than explicit ones that they cost less.
+    """Whether implicit steps are so much fewer than explicit ones that they cost less, and safe.
+
+    Long steps damp what is fast, and might damp what runs away as well: a certificate must cover
+    all members. They also pass over short events whose times are drawn, which short ones may not;
+    those at fixed times are known.
 
     What counts are the steps that the first group of members takes. Where the explicit steps are
     bound by accuracy, fewer do at a looser tolerance, and nothing else has to be compiled.
     """
-    if plan.system.implementation is not None:
+    population = plan.system.varied
+    if plan.system.implementation is not None or population.constants or population.frequency:
         return False
     explicit = Engine(plan).method
     assert isinstance(explicit, NativeContinuous)
@@ -185,7 +191,8 @@ def is_stiff(plan: Plan, _registered: tuple[object, ...]) -> bool:
         return False
     assert isinstance(implicit, NativeContinuous)
     fewer, lost = implicit.first_group(plan.tolerance)
-    return lost <= given_up and STEPS_PER_IMPLICIT * fewer < steps
+    worth = lost <= given_up and STEPS_PER_IMPLICIT * fewer < steps
+    return worth and is_certified(plan.system)
 
 
 @remembered

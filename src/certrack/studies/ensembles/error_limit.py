@@ -62,6 +62,11 @@ def limit_and_starts(
     return _certified(system)
 
 
+def is_certified(system: System) -> bool:
+    """Whether a certificate covers every member: then none can run away."""
+    return _certified(system)[1] == "certificate"
+
+
 @remembered
 def _certified(system: System) -> tuple[float | None, str, ImplementedCertificate | None]:
     """The limit by the certificate, its origin and the starts that it is proven for."""
