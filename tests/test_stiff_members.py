@@ -251,9 +251,31 @@ def test_a_pulse_whose_time_is_drawn_is_not_passed_over():
     text = AXIS.format(omega="1.4*exp(-((t - at)/0.1)**2)", pole=40)
     text += "constants = {at = {uniform = [64.3, 66.5]}}\n"
     system = certrack.loads(text)
-    assert fastest(plan_of(system), 1).plan.method == "native"
-    found = certrack.ensemble(system, 32, limit=0.003)
-    assert found.violations()["count"] == 32
+    assert fastest(plan_of(system), 1).plan.method == "alone"
+    found = certrack.ensemble(system, 8, limit=0.003)
+    assert found.violations()["count"] == 8
+    for method in ("native", "implicit"):
+        with pytest.raises(InputError, match="short events at times of their own"):
+            certrack.ensemble(system, 8, method=method)
+
+
+def test_a_loop_at_rest_sees_a_pulse_whose_time_is_drawn():
+    """Between two looks of a long step there was nothing: no member saw its pulse."""
+    text = AXIS.format(omega="exp(-((t - at)/0.01)**2)", pole=60)
+    text = text.replace("0.01*sin(0.02*t)", "0").replace("x0 = [0.1, 0]", "x0 = [0, 0]")
+    start = text.index("x0 = [{")
+    text = (
+        text[:start]
+        + "constants = {at = {uniform = [64.3, 66.5]}}\n"
+        + text[text.index("disturbance") :]
+    )
+    system = certrack.loads(text)
+    found = certrack.ensemble(system, 8, limit=np.inf)
+    peaks = found.statistics.metrics["peak_input"].summary()
+    assert peaks["min"] > 0.1
+    drawn = certrack.Population(disturbance="multisine", sines=12)
+    calm = certrack.load("dual-motor").replace(population=drawn)
+    assert fastest(plan_of(calm), 1).plan.method != "alone"
 
 
 def test_one_member_that_stops_does_not_hold_up_its_group():

@@ -50,6 +50,8 @@ class TimeSwitches:
         Largest formulas of t alone, written by the switches; each has t in it.
     of_members : formulas
         Switches of t and of numbers that differ between members: left where they are.
+    formulas_of_members : formulas
+        Largest formulas of t, numbers and those that differ between members, with one of the last.
     """
 
     symbols: tuple[sympy.Symbol, ...] = ()
@@ -57,6 +59,7 @@ class TimeSwitches:
     branches: tuple[sympy.Expr, ...] = ()
     formulas: tuple[sympy.Expr, ...] = ()
     of_members: tuple[sympy.Expr, ...] = ()
+    formulas_of_members: tuple[sympy.Expr, ...] = ()
 
     @cached_property
     def numbers(self) -> frozenset[sympy.Symbol]:
@@ -171,6 +174,11 @@ class _SwitchWriter:
             branches=(*inner, *self._branches),
             formulas=_largest_of_time(formulas, self._known | set(self._symbols.values())),
             of_members=tuple(self._of_members),
+            formulas_of_members=tuple(
+                formula
+                for formula in _largest_of_time(formulas, self._members)
+                if not formula.free_symbols <= self._known
+            ),
         )
 
     def _write(self, expr: sympy.Expr) -> sympy.Expr:

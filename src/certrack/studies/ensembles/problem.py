@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
+from certrack.core.expressions import TIME
 from certrack.integrators.base import MethodUnavailable
+from certrack.loops.bursts import scan
 from certrack.loops.schedule import make_schedule
 from certrack.loops.time_switches import TimeSwitches
 from certrack.simulation.metrics import settling_band
@@ -16,6 +18,9 @@ from certrack.studies.ensembles.members import AMPLITUDE, members_of
 from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
 from certrack.studies.ensembles.plan import METRICS, band_times
 from certrack.systems.system import System
+
+#: Members whose formulas of time are scanned for bursts.
+SCANNED_MEMBERS = 4
 
 #: Two times closer than this part of them are one: rounding may have separated them.
 TIME_ROUNDING = 1e-12
@@ -88,8 +93,12 @@ class EnsembleProblem:
         ]
         return Segments(edges, np.array(shared))
 
-    def refuse_own_times(self, switches: TimeSwitches) -> None:
-        """Refuse to compute members side by side that each switch at times of their own.
+    def refuse_own_times(
+        self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float] | None = None
+    ) -> None:
+        """Refuse to compute members side by side that have switches or bursts of their own times.
+
+        Of bursts a few members tell.
 
         Raises
         ------
@@ -100,6 +109,17 @@ class EnsembleProblem:
                 "members switch at times of their own (a formula of t and of drawn numbers under "
                 "abs, sign, min or max), so each is run alone"
             )
+        _, drawn = self.members.table(0, SCANNED_MEMBERS)
+        nodes = np.array([0.0, self.end])
+        for formula in switches.formulas_of_members:
+            for k in range(SCANNED_MEMBERS):
+                known = {**(numbers or {}), **{s: float(v[k]) for s, v in drawn.items()}}
+                known = {s: known[s] for s in formula.free_symbols - {TIME}}
+                if len(scan(formula, nodes, known, {}, self.tolerance).marks):
+                    raise MethodUnavailable(
+                        "members have short events at times of their own (a formula of t and of "
+                        "drawn numbers), so each is run alone"
+                    )
 
     @property
     def varying(self) -> dict[sympy.Symbol, np.ndarray]:

@@ -46,8 +46,8 @@ class NativeContinuous(Method):
         self._modes = modes_of(problem.members.loop, side_by_side=True)
         members = problem.members
         self._flow, switches = build_flow(members, problem.varying, any_numbers=True)
-        problem.refuse_own_times(switches)
         values = dict(zip(members.loop.parameters, members.base.tolist(), strict=False))
+        problem.refuse_own_times(switches, values)
         self._segments = problem.segments(switches, values)
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]
