@@ -43,6 +43,22 @@ def test_powers_are_read_at_once_and_mean_what_they_say(text):
     assert float(expr.subs(symbol("x"), x)) == pytest.approx(float(expected), rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sqrt(log(tanh(1300)))",
+        "log(tanh(1300))**0.3*x",
+        "sqrt(tanh(1300) - 1)",
+        "(sin(1)**2 + cos(1)**2 - 1)**0.5",
+    ],
+)
+def test_roots_of_what_rounds_to_zero_are_refused(text):
+    """Floats say 0; of these the first three are below it, and have no real root."""
+    with pytest.raises(InputError, match="no value|not a finite real number"):
+        parse("", text, ["x"])
+    assert parse("", "(sin(1)**2 + cos(1)**2 - 0.9)**0.5", ["x"]).expr > 0.3
+
+
 def test_constants_are_put_in_without_being_computed():
     formula = parse("", "K**0.0000001*exp(0.0000001*log(K)*x)", ["K", "x"]).expr
     begin = time.process_time()

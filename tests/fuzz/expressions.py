@@ -217,7 +217,8 @@ def compared(tree: ast.AST, expr: sympy.Expr, point: dict[str, float]) -> str:
         except Undefined:
             return "undefined"
         try:
-            found = float(value_of(expr, exact))
+            rounded = {name: +value for name, value in exact.items()}  # else t - t is a residue
+            found = float(value_of(expr, rounded))
         except Undefined:
             return "undefined for the product"  # complex or infinite, or a step on the way
     if near(found, expected):

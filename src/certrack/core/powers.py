@@ -17,12 +17,16 @@ from typing import Any
 
 import sympy
 from mpmath import mp
+from sympy.core.evalf import PrecisionExhausted
 
 #: Bits of the numerator and denominator of any constant: larger powers are not computed.
 MAX_BITS = 20_000
 
 #: Roots beyond this one are fine: x**(1/65) is written with an exponent that is no rational.
 FINEST_ROOT = 64
+
+#: Digits of a base that must be known, if it is to be positive.
+SIGN_DIGITS = 15
 
 #: Bits by which a base is known better than its power: those of its exponent, and some.
 GUARD_BITS = 40
@@ -106,6 +110,8 @@ def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
     ------
     OverflowError
         For an integer power that would have more than :data:`MAX_BITS` bits.
+    ArithmeticError
+        For a root of a negative constant, or of one whose digits do not show that it is positive.
     """
     if base.is_Rational and exponent.is_Rational:
         size = max(int(base.p).bit_length(), int(base.q).bit_length())
@@ -116,7 +122,9 @@ def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
     if is_plain or is_root or base.is_NumberSymbol or base is sympy.E:
         return base**exponent
     if not base.free_symbols:
-        return ConstantPower(base, exponent) if base.is_positive is not False else base**exponent
+        if not (base.is_positive or _is_clearly_positive(base)):
+            raise ArithmeticError("a power of what is negative, or cannot be told from zero")
+        return ConstantPower(base, exponent)
     factor, remainder = base.as_coeff_Mul()
     if factor in (1, -1):
         return without_fine_roots(base**exponent)
@@ -181,6 +189,15 @@ def _gathered(*factors: sympy.Expr) -> sympy.Expr:
     return sympy.Mul(
         *(base ** _written_exponent(sympy.Add(*parts)) for base, parts in exponents.items())
     )
+
+
+def _is_clearly_positive(number: sympy.Expr) -> bool:
+    """Whether digits show it, where SymPy does not know: log(tanh(1300)) has none, sin(1) has."""
+    try:
+        value = number.evalf(SIGN_DIGITS, strict=True)
+    except PrecisionExhausted:
+        return False
+    return bool(value.is_Float and value > 0)
 
 
 def _is_fine(exponent: sympy.Expr) -> bool:
