@@ -17,6 +17,7 @@ from certrack.certificates.implemented import gains as gains_room
 from certrack.certificates.implemented import timing as timing_room
 from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed, widened
+from certrack.certificates.implemented.estimate import _estimated_gains
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     gains_of,
@@ -31,7 +32,13 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.levels import Level, _memories, _still, reference_columns
+from certrack.certificates.implemented.levels import (
+    Level,
+    _memories,
+    _still,
+    _where_the_error_is_zero,
+    reference_columns,
+)
 from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
@@ -655,3 +662,126 @@ def test_jitter_adds_what_moves_within_it(delay):
         entries = [flint.arb(x) for x in v]
         after = timed.image(entries[:2], entries[2], entries[3], entries[4:])
         assert all(float(a) < b <= float(a) * 1.01 for a, b in zip(after[1:], v, strict=True))
+
+
+# the period, and what the law wants in it
+
+
+def late_drive(delay, q_order=1):
+    """Two states, one memory, delayed inputs; Lx, Ls and the rest are made up."""
+    Ly = list(range(1, q_order + 3))
+    drive = bare_drive(
+        [[-1, 1], [0, -2]], [0, 3], [[1, 0], [0, 1]], Ly, 0.1, [1.0] * len(Ly), 0.5, []
+    )
+    return replace(
+        drive,
+        delay=rational(delay),
+        Lx=flint.arb_mat([[-0.25, 0.125]]),
+        Ls=flint.arb_mat([[0.5]]),
+        Sx=flint.arb_mat([[0.25, -0.5]]),
+        Ss=flint.arb_mat([[0.375]]),
+        Sy=flint.arb_mat([[k + 0.5 for k in range(q_order + 2)]]),
+        first=flint.arb_mat([[1, 1]]),
+        first_input=flint.arb_mat([[0]]),
+        uncertain=(replace(UNIT_W, weights=(1, 1), Delta=(0, 0)),) * 2,
+        mu=(rational("0.01"), rational("0.02")),
+        eta=rational("0.03"),
+    )
+
+
+def middles(matrix):
+    return np.array([[float(v.mid()) for v in row] for row in matrix.tolist()])
+
+
+@pytest.mark.parametrize(
+    ("delay", "counts"), [("0", (0, 3)), ("0.75", (2, 3)), ("1.75", (2, 3)), ("2", (0, 3))]
+)
+def test_a_period_has_cells_before_and_after_its_input_takes_over(delay, counts):
+    """The input of `floor(delay)` periods before takes over; until then one more acts."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive(delay), (2, 3))
+    periods, part = int(float(delay)), float(delay) % 1
+    newest = period.command + periods
+    assert (period.command, period.size) == (3, 3 + periods + 2)
+    lengths = [0.1 * part / 2] * counts[0] + [0.1 * (1 - part) / 3] * counts[1]
+    acting = [newest + 1] * counts[0] + [newest] * counts[1]
+    assert [float(cell.length) for cell in period.cells] == pytest.approx(lengths)
+    assert sum(cell.length for cell in period.cells) == period.drive.T
+    assert [cell.acting for cell in period.cells] == acting
+    for cell in period.cells:
+        block = np.zeros((3, 3))
+        block[:2] = [[-1, 1, 0], [0, -2, 3]]
+        over = expm(block * float(cell.length))
+        expected = np.eye(period.size)
+        expected[:2, :2], expected[:2, cell.acting] = over[:2, :2], over[:2, 2]
+        assert middles(cell.transition) == pytest.approx(expected)
+    jump = np.eye(period.size, k=-1)
+    jump[:4] = 0
+    jump[:2, :2] = np.eye(2)
+    jump[2, :3], jump[3, :3] = [0.25, -0.5, 0.375], [-0.25, 0.125, 0.5]
+    assert middles(period.jump) == pytest.approx(jump)
+    noise = np.zeros((period.size, 2))
+    noise[2], noise[3] = [0.25, -0.5], [-0.25, 0.125]
+    assert middles(period.noise) == pytest.approx(noise)
+    reference = np.zeros((period.size, 3))
+    reference[2], reference[3] = [0.5, 1.5, 2.5], [1, 2, 3]
+    assert middles(period.reference) == pytest.approx(reference)
+
+
+@pytest.mark.parametrize("q", [0, 1, 2])
+@pytest.mark.parametrize("delay", ["0", "0.5", "1.5"])
+def test_where_the_error_is_zero_states_memories_and_inputs_are_as_wanted(delay, q):
+    """Y is a polynomial: x_d of each cell's begin, the memory and inputs of the samples before."""
+    rng = np.random.default_rng(q)
+    desired = rng.integers(-4, 5, (2, q + 1))
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(late_drive(delay, q), desired=flint.arb_mat(desired.tolist()))
+        period = one_period(drive, (2, 1))
+        found = _where_the_error_is_zero(period)
+        s = middles(_memories(drive, shift(q, -drive.T)))
+        assert _where_the_error_is_zero(replace(period, drive=replace(drive, desired=None))) is None
+    assert len(found) == len(period.cells) + 1
+    Y0 = rng.uniform(-1, 1, q + 1)
+
+    def Y(t):
+        return np.array(
+            [
+                sum(Y0[j] * t ** (j - i) / math.factorial(j - i) for j in range(i, q + 1))
+                for i in range(q + 1)
+            ]
+        )
+
+    def command(t):
+        of_Y = [k + 1 for k in range(q + 1)] @ Y(t)
+        return [-0.25, 0.125] @ desired @ Y(t) + 0.5 * (s @ Y(t - 0.1))[0] + of_Y
+
+    inputs = [command(-0.1 * k) for k in range(period.size - 3)]
+    t = 0.0
+    for Pi, length in zip(found, [*(float(c.length) for c in period.cells), 0.0], strict=True):
+        expected = [*(desired @ Y(t)), (s @ Y(0.0))[0], *inputs]
+        assert middles(Pi) @ Y(t) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        t += length
+
+
+@pytest.mark.parametrize("lipschitz", [0.5, None])
+@pytest.mark.parametrize("jumps", [None, (1.0, 0.35), (1.0, 0.1)])
+@pytest.mark.parametrize("delay", ["0", "0.5"])
+def test_gains_in_floats_are_those_of_the_proof(delay, jumps, lipschitz):
+    """But for what bends within the cells, and what is left after all periods."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(
+            late_drive(delay),
+            jumps=None if jumps is None else tuple(map(rational, jumps)),
+            lipschitz=None if lipschitz is None else rational(lipschitz),
+        )
+        period = one_period(drive, (12, 16))
+        rows = output_rows(period)[::3] + output_rows(period)[-2:]
+        for doublings in (7, 8):
+            found = _estimated_gains(period, rows, doublings)
+            proven = output_gains(period, rows, doublings)
+            for name in ("w", "r", "noise", "sample", "step", "first", "jump"):
+                guess, value = getattr(found, name), getattr(proven, name)
+                assert guess.shape == value.shape
+                assert guess == pytest.approx(value, rel=2e-4, abs=1e-9), name
+                assert (guess <= value * (1 + 1e-9)).all()
+            assert (found.jump > 0).any() == (jumps is not None)
