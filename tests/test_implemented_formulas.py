@@ -13,9 +13,13 @@ from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import cover as cover_room
 from certrack.certificates.implemented import gains as gains_room
+from certrack.certificates.implemented import lags as lags_room
+from certrack.certificates.implemented import polytope as polytope_room
+from certrack.certificates.implemented import slow as slow_room
 from certrack.certificates.implemented import timing as timing_room
-from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
+from certrack.certificates.implemented.drive import DRIVE_BITS, SlowBound, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.estimate import _estimated_gains
 from certrack.certificates.implemented.fixed_point import OutputBounds
@@ -32,11 +36,15 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
+from certrack.certificates.implemented.lags import lag_gains
 from certrack.certificates.implemented.levels import (
     Level,
     _memories,
+    _sized,
     _still,
     _where_the_error_is_zero,
+    levels_of,
+    partly_cancelled,
     reference_columns,
 )
 from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
@@ -785,3 +793,175 @@ def test_gains_in_floats_are_those_of_the_proof(delay, jumps, lipschitz):
                 assert guess == pytest.approx(value, rel=2e-4, abs=1e-9), name
                 assert (guess <= value * (1 + 1e-9)).all()
             assert (found.jump > 0).any() == (jumps is not None)
+
+
+# what is before the periods that are summed, and roundings
+
+
+@pytest.mark.parametrize("lipschitz", [0.5, None])
+def test_what_is_before_the_periods_that_are_summed_is_bounded(lipschitz):
+    """After 16 periods a fifth is left: fewer periods never say less."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        jumps = (rational(1.0), rational(0.35))
+        smooth = None if lipschitz is None else rational(lipschitz)
+        drive = replace(
+            late_drive("0.5"),
+            jumps=jumps,
+            lipschitz=smooth,
+            desired=flint.arb_mat([[1, 0], [1, 1]]),
+        )
+        period = one_period(drive, (1, 2))
+        rows = output_rows(period)[::4] + output_rows(period)[-2:]
+        short, long = (output_gains(period, rows, d) for d in (4, 8))
+        for name in ("w", "r", "noise", "sample", "step", "first", "jump"):
+            few, many = getattr(short, name), getattr(long, name)
+            assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        assert (short.old > 1e-3 * short.w).all() and (long.old < 1e-6 * long.w).all()
+        lagged = [lag_gains(period, rows, d) for d in (4, 8)]
+        few, many = (g.running + g.lags.sum(axis=0) + g.tail for g in lagged)
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        nw = period.drive.W.ncols()
+        assert few[:, :nw] == pytest.approx(short.w, rel=1e-6)
+        few, many = (pulse_gains(period, rows, d) for d in (4, 8))
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        few, many = (partly_cancelled(period, rows, d) for d in (4, 8))
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+
+
+def test_the_reference_counts_by_its_smallest_level():
+    """Of every level what stands still, the running period, and all periods before it."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(late_drive("0.5", 2), desired=flint.arb_mat([[1, 0, 0], [1, 1, 2]]))
+        period = one_period(drive, (1, 2))
+        every = output_rows(period)
+        rows = every[::3] + every[-2:]
+        found = partly_cancelled(period, rows, 8)
+        levels = levels_of(period)
+        assert len(levels) == 3
+        assert (
+            partly_cancelled(replace(period, drive=replace(drive, desired=None)), rows, 8) is None
+        )
+        M, J = middles(period.map), len(period.cells)
+        whole = reference_columns(period, levels, J)
+        expected = np.zeros((len(rows), len(levels)))
+        for i, row in enumerate(rows):
+            line = flint.arb_mat([list(row.row)])
+            if row.phase:
+                seen = reference_columns(period, levels, row.phase)
+                values = middles(line * seen.all())[:, None]
+                sums = sums_over_time(seen, values, 0 * values[:, 0])
+                expected[i] += _sized(period, levels, seen, row.phase, sums)[0]
+            at = middles(line * (period.since_jump(row.phase)[-1] * period.jump))[0]
+            past = np.array([at @ np.linalg.matrix_power(M, k) for k in range(256)])
+            values = (past @ middles(whole.all()))[None]
+            sums = sums_over_time(whole, values, 0 * values[:, 0])
+            expected[i] += _sized(period, levels, whole, J, sums)[0]
+        expected += _still(period, levels, rows)
+    assert found == pytest.approx(expected.min(axis=1), rel=1e-6)
+    assert (found >= expected.min(axis=1) * (1 - 1e-9)).all()
+    assert (expected.max(axis=1) > 1.001 * expected.min(axis=1)).any()
+
+
+@pytest.mark.parametrize(("delay", "cells", "doublings"), [(9, 1, 4), (0, 12, 1), (0, 1, 9)])
+def test_sums_of_pulses_count_roundings_of_all_that_is_large(monkeypatch, delay, cells, doublings):
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(timing_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(exact_period([1, 1], (1, 1)).drive, delay=rational(delay))
+        period = one_period(drive, (1, cells))
+        pulse_gains(period, output_rows(period), doublings)
+    inner = doublings // 2
+    block, blocks = 2**inner, 2 ** (doublings - inner)
+    assert len(counts) == blocks + 3
+    assert min(counts[:blocks]) >= block + period.size
+    assert counts[blocks] >= blocks + period.size + cells + 1
+    assert counts[blocks + 1] >= period.size + 1
+
+
+def test_tables_that_are_too_large_are_refused(monkeypatch):
+    """So many numbers as all lags, or all step responses, have."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive("0.5"), (1, 2))
+        rows = output_rows(period)[-5:]
+        numbers = 2**3 * (5 + period.size) * (2 + 2 + 4 + period.size)
+        monkeypatch.setattr(lags_room, "MAX_LAG_NUMBERS", numbers)
+        assert len(lag_gains(period, rows, 3).lags) == 8
+        monkeypatch.setattr(lags_room, "MAX_LAG_NUMBERS", numbers - 1)
+        with pytest.raises(NoCertificate, match="too large, or too slow"):
+            lag_gains(period, rows, 3)
+        slow = SlowBound(rational(1), (rational(0),) * 2, rational(0), None, rational(0))
+        uncertain = tuple(replace(bound, slow=slow) for bound in period.drive.uncertain)
+        for parts, most in (((1, 1), 2**3 * 5), ((7, 9), 2**3 * 5)):
+            period = one_period(replace(late_drive("0.5"), uncertain=uncertain), parts)
+            most *= max(period.size, sum(parts) * 2)
+            monkeypatch.setattr(slow_room, "MAX_STEP_NUMBERS", most)
+            assert slow_room.StepResponses.of(period, rows, 3).periods == 9
+            monkeypatch.setattr(slow_room, "MAX_STEP_NUMBERS", most - 1)
+            with pytest.raises(NoCertificate, match="step responses"):
+                slow_room.StepResponses.of(period, rows, 3)
+
+
+def test_step_responses_count_a_rounding_for_each_of_their_terms(monkeypatch):
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    slow = SlowBound(rational(1), (rational(0),) * 2, rational(0), None, rational(0))
+    monkeypatch.setattr(slow_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        for delay in ("0.5", "9.5"):
+            drive = late_drive(delay)
+            uncertain = tuple(replace(bound, slow=slow) for bound in drive.uncertain)
+            period = one_period(replace(drive, uncertain=uncertain), (1, 1))
+            counts.clear()
+            found = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
+            *of_cells, error, bend, overshoot = counts
+            assert min(of_cells) >= 3 and error >= 3
+            assert bend >= found.periods + period.size and overshoot >= period.size
+            counts.clear()
+            found.measures(0, np.ones(3), np.zeros(5), 1)
+            assert len(counts) == 3 and counts[0] >= 3 + 2
+            assert counts[1] >= 3 * 2 + 4 and counts[2] >= 3 + 1
+
+
+def test_half_spaces_count_a_rounding_for_each_of_their_states(monkeypatch):
+    for n in (1, 30):
+        counts = []
+        monkeypatch.setattr(
+            polytope_room,
+            "widened",
+            lambda v, k=8, counts=counts: counts.append(k) or widened(v, k),
+        )
+        ones = np.ones((2, n))
+        polytope_room.half_spaces(ones, 0 * ones, np.ones(2), np.array([[-1.0, 1.0]] * n))
+        assert counts.pop() >= n + 3
+
+
+def test_at_least_one_cell_is_tried_and_no_more_than_the_work_allows(monkeypatch):
+    period = exact_period([0, 1], (1, 1))
+    plant = SimpleNamespace(box="box", drive=lambda box, delay: period.drive)
+    monkeypatch.setattr(cover_room, "one_period", lambda drive, parts: period)
+    for work, effort, cells in (
+        (1e12, "default", 1),
+        (1e12, "high", 1),
+        (2e8, "default", 10),
+        (2e8, "high", 40),
+        (1.0, "default", 48),
+        (1.0, "high", 192),
+        (1.0, "fast", 1),
+    ):
+        monkeypatch.setattr(cover_room, "_work_of", lambda _, work=work: work)
+        assert cover_room.cells_allowed(plant, 1, effort) == cells
+
+    def unstable(_):
+        raise NoCertificate("it is unstable")
+
+    monkeypatch.setattr(cover_room, "_work_of", unstable)
+    assert cover_room.cells_allowed(plant, 1, "default") == 48

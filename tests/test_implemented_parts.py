@@ -4,6 +4,7 @@ import copy
 import math
 from dataclasses import asdict, replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
@@ -14,6 +15,7 @@ from test_implemented import UNIT_W
 import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import certify as certify_room
 from certrack.certificates.implemented import margins
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
@@ -397,3 +399,75 @@ def test_the_size_of_an_uncertain_term():
     expected = math.hypot(3, 8) / 2 + 5 + 14 + 1 / 3
     assert float(uncertain_size(bound, X).mid()) == pytest.approx(expected, rel=1e-14)
     assert np.isclose(float(uncertain_size(bound, [0, 0]).mid()), 1 / 3)
+
+
+# what a certificate is made of
+
+
+@pytest.mark.parametrize("limited", [True, False])
+@pytest.mark.parametrize("regional", [True, False])
+@pytest.mark.parametrize("shaken", [True, False])
+@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize("reason", ["", "|u| is large"])
+def test_a_certificate_gathers_what_its_parts_say(
+    monkeypatch, reason, asked, shaken, regional, limited
+):
+    made = ImplementedProof("0", (1, 1), 5, ("1", "2", "9"), "3", "1", "5")
+    other = replace(made, states=("4", "1", "9"), input="2", bound="6", cell=(("0", "1"),))
+    other = replace(other, slow=("z",))
+    proven = [(made, {"a": 1.0}), (other, {"b": 2.0})]
+    calls = []
+    found = SimpleNamespace(reason=reason, starts="x0", peaks="P", polytope="T", proofs=("new",))
+
+    def note(name, result):
+        return lambda *parts, **named: calls.append((name, *parts)) or result
+
+    states = []
+    system = SimpleNamespace(
+        plant=SimpleNamespace(n=2),
+        truth=SimpleNamespace(states=states),
+        settings=SimpleNamespace(x0=(7.0, 8.0)),
+        implementation=SimpleNamespace(jitter=0.1 if shaken else 0.0),
+    )
+    refused = [""]
+    for name, result in (
+        ("is_limited", limited),
+        ("is_regional", regional),
+        ("_proven", (proven, "tried")),
+        ("from_starts", found),
+        ("period_margins", "M"),
+        ("nominal_drive", SimpleNamespace(offset=rational("-1/2"))),
+        ("assumptions", ["A"]),
+        ("rated_terms", ("w_1",)),
+        ("rates_unused", "why"),
+    ):
+        monkeypatch.setattr(certify_room, name, note(name, result))
+    monkeypatch.setattr(certify_room, "limits_met", lambda system, proofs: refused[0])
+    given, proofs = certify_implemented(system, from_start=asked, margins=asked, effort="high")
+    names = [name for name, *_ in calls]
+    partly = limited or regional
+    looked = partly or (asked and not shaken)
+    assert ("from_starts" in names) is looked
+    assert ("period_margins" in names) is (asked and not (regional or shaken))
+    assert given.margins == ("M" if asked and not (regional or shaken) else None)
+    for name, *parts in calls:
+        if name == "period_margins":
+            assert parts[1:] == [(made, other), certify_room.limits_met, "tried"]
+        if name == "rates_unused":
+            assert parts[1] is other
+    assert (given.bound, given.peak_input, given.states) == (6, 3.5, (4, 2))
+    assert (given.parts, given.cells, given.slow) == ({"b": 2.0}, 1, ("w_1",))
+    assert (given.assumptions, given.rates_unused, given.start) == (("A",), "why", (7.0, 8.0))
+    failed = limited and looked and bool(reason)
+    assert given.verified is not failed and given.reason == (reason if failed else "")
+    assert given.saturation == ("none" if not limited else "may act" if failed else "inactive")
+    assert given.starts == ("x0" if partly else "any")
+    assert (given.peaks, given.polytope) == (("P", "T") if looked else (None, None))
+    assert proofs == (() if failed else ("new",) if looked else (made, other))
+    states.append("of its own")
+    proven[1] = (replace(other, slow=()), {"b": 2.0})
+    given, _ = certify_implemented(system)
+    assert given.start == () and given.slow == () and given.margins is None
+    refused[0] = "its limits"
+    given, proofs = certify_implemented(system)
+    assert (given.reason, given.exists, proofs) == ("its limits", False, ())
