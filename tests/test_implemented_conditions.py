@@ -490,3 +490,5 @@ def test_steps_down_end_where_a_bound_would_rise_or_hardly_falls():
     assert steps == 40 and found[0] == pytest.approx(2.0**-40, rel=1e-4)
     found, steps = down(lambda v: [flint.arb(1)], 1.00001)
     assert steps == 1 and found[0] == pytest.approx(1 + superposition.FIXED_POINT_MARGIN, rel=1e-9)
+    (found,), steps = down(lambda v: [0 * v[0]], 1.0)
+    assert 0 < found < 1e-270  # strictly above where nothing acts

@@ -50,6 +50,7 @@ from certrack.certificates.implemented.input_limits import (
 from certrack.certificates.implemented.margins import period_margins
 from certrack.certificates.implemented.polytope import Polytope
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.start_proof import StartProof
 from certrack.core.errors import InputError
 
@@ -262,6 +263,16 @@ def test_every_delay_must_be_proven_at_the_last_period(monkeypatch, calm):
     assert (found.slowest, 0) in asked and (found.slowest, 1) in asked
 
 
+@pytest.mark.parametrize(
+    ("limit", "slowest"), [(0.0105, 0.01033), (0.0103, 0.01), (0.0107, 0.01067)]
+)
+def test_a_period_that_is_hardly_slower_is_the_own_one(monkeypatch, calm, limit, slowest):
+    """On the way back from 0.64 s, by halves of an order: within a 32nd nothing is tried."""
+    found, _ = searched(monkeypatch, calm, lambda T, delay: 1.0 if delay or limit >= T else None, 2)
+    assert found.slowest == slowest and not found.slower_untried
+    assert found.fastest == pytest.approx(0.01 / 8) and found.faster_untried
+
+
 # files
 
 
@@ -471,3 +482,78 @@ def test_a_certificate_gathers_what_its_parts_say(
     refused[0] = "its limits"
     given, proofs = certify_implemented(system)
     assert (given.reason, given.exists, proofs) == ("its limits", False, ())
+
+
+# a plant in a cell
+
+RANGED = """
+[plant]
+states = ["x1", "x2"]
+chain = [2]
+drift = "a*x1 + 3*x2 + a/4"
+input_gain = "g"
+gain_sign = 1
+[plant.constants]
+a = 1
+g = 4
+[plant.ranges]
+a = [1, 3]
+g = [4, 5]
+[plant.uncertainty]
+tau = [0.5, 0]
+gamma = [0.01, 0]
+beta = [0.25, 0]
+[truth]
+input_gain = 4
+omega = [0, 0]
+[reference]
+signal = "0.1*sin(t)"
+[law]
+kind = "robust"
+c = [2, 3]
+[simulation]
+x0 = [0, 0]
+duration = 5
+[implementation]
+period = 0.01
+delay = 0.5
+"""
+
+
+@pytest.mark.parametrize(
+    ("a", "g", "drift", "gain", "rest", "channels"),
+    [
+        ((1, 1), (4, 4), 1, 4, "0", []),
+        ((3, 3), (5, 5), 3, 5, "7/16", []),
+        ((1, 3), (4, 4), 2, 4, "1/4", [((1, 0), 0, "1/4", 1.0)]),
+        ((1, 1), (4, 5), 1, 4.5, "-1/32", [((0, 0), 1, "1/16", 0.5)]),
+        ((1, 3), (4, 5), 2, 4.5, "7/32", [((1, 0), 0, "1/4", 1), ((0, 0), 1, "1/16", 0.5)]),
+    ],
+)
+def test_a_plant_in_a_cell_is_its_middle_and_a_channel_for_each_range(
+    a, g, drift, gain, rest, channels
+):
+    """x2' = a x1 + 3 x2 + a/4 + g (u - 1/16), where the law cancels 1/4 with a gain of 4."""
+    plant = RangedPlant(certrack.loads(RANGED))
+    drive = plant.drive(tuple(tuple(map(rational, ends)) for ends in (a, g)), rational("1/4"))
+
+    def numbers(matrix):
+        return [[float(v) for v in row] for row in matrix.tolist()]
+
+    assert numbers(drive.A) == [[0, 2], [drift, 3]] and numbers(drive.b) == [[0], [gain]]
+    width = [size for *_, size in channels]
+    assert numbers(drive.W) == [[0.5, 0] + [0] * len(width), [0, 1, *width]]
+    assert drive.offset == rational("-1/16") and drive.delay == rational("1/4")
+    assert [(c.of_x, c.of_u) for c in drive.channels] == [(x, u) for x, u, *_ in channels]
+    of_w, of_rest, *others = drive.uncertain
+    more = (0,) * len(channels)
+    assert (of_w.gamma, of_w.beta) == (rational("1/100"), rational("1/4"))
+    assert (of_w.weights, of_w.Delta) == ((1, 1, *more), (0, 0, *more))
+    assert (of_rest.gamma, of_rest.beta) == (0, abs(rational(rest)))
+    assert of_rest.weights == of_rest.Delta == (0, 0, *more)
+    for k, (bound, (_, _, constant, _)) in enumerate(zip(others, channels, strict=True)):
+        assert (bound.gamma, bound.beta) == (0, rational(constant))
+        assert bound.weights == (0, 0, *more)
+        assert bound.Delta == tuple(int(i == 2 + k) for i in range(2 + len(channels)))
+    assert plant.box == (tuple(map(rational, (1, 3))), tuple(map(rational, (4, 5))))
+    assert not plant.varies

@@ -85,6 +85,9 @@ def test_a_loop_that_forgets_everything_has_nothing_left_of_its_start():
     made.gains = SimpleNamespace(powers=powers, before=before, last=np.zeros((2, 2)))
     (left,) = made._later_transient(np.array([1.0, 2.0]))
     assert 0 <= left < 1e-290
+    made.gains.last = np.array([[0.5, 0.0], [0.0, 0.5]])
+    (left,) = made._later_transient(np.zeros(2))  # nor has one that nothing begins with
+    assert 0 <= left < 1e-270
 
 
 def test_all_memories_begin_with_what_is_measured():
@@ -171,6 +174,13 @@ def test_a_period_without_a_bound_is_refused():
     made._of_x = made._of_x + np.array([[0, 0], [0, 0], [1.0, 0], [0, 0], [0, 0], [0, 0]])
     with pytest.raises(NoCertificate, match="no bound in a period"):
         made.run(STARTS, SimpleNamespace(size=np.zeros((3, 6))))
+
+
+def test_a_bound_beyond_the_floats_is_refused():
+    size = np.zeros((3, 6))
+    size[:, :2] = np.inf  # of e_1 alone
+    with pytest.raises(NoCertificate, match="range of floating point"):
+        loop_of_two().run(STARTS, SimpleNamespace(size=size))
 
 
 @pytest.mark.parametrize("middle", [0, 1, 2, 3])
