@@ -16,6 +16,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import cover as cover_room
 from certrack.certificates.implemented import gains as gains_room
 from certrack.certificates.implemented import lags as lags_room
+from certrack.certificates.implemented import levels as levels_room
 from certrack.certificates.implemented import polytope as polytope_room
 from certrack.certificates.implemented import slow as slow_room
 from certrack.certificates.implemented import timing as timing_room
@@ -49,7 +50,11 @@ from certrack.certificates.implemented.levels import (
 )
 from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
-from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
+from certrack.certificates.implemented.powers import (
+    PastRows,
+    powers_of_columns,
+    powers_of_rows,
+)
 from certrack.certificates.implemented.start import (
     Later,
     _product_with,
@@ -711,6 +716,7 @@ def test_a_period_has_cells_before_and_after_its_input_takes_over(delay, counts)
     periods, part = int(float(delay)), float(delay) % 1
     newest = period.command + periods
     assert (period.command, period.size) == (3, 3 + periods + 2)
+    assert period.drive.jitter == 0
     lengths = [0.1 * part / 2] * counts[0] + [0.1 * (1 - part) / 3] * counts[1]
     acting = [newest + 1] * counts[0] + [newest] * counts[1]
     assert [float(cell.length) for cell in period.cells] == pytest.approx(lengths)
@@ -816,6 +822,9 @@ def test_what_is_before_the_periods_that_are_summed_is_bounded(lipschitz):
         for name in ("w", "r", "noise", "sample", "step", "first", "jump"):
             few, many = getattr(short, name), getattr(long, name)
             assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        often = replace(drive, jumps=(rational(1.0), rational(0.1)))  # in every period
+        of_each = output_gains(one_period(often, (1, 2)), rows, 4)
+        assert of_each.jump == pytest.approx(of_each.sample, rel=1e-9)
         assert (short.old > 1e-3 * short.w).all() and (long.old < 1e-6 * long.w).all()
         lagged = [lag_gains(period, rows, d) for d in (4, 8)]
         few, many = (g.running + g.lags.sum(axis=0) + g.tail for g in lagged)
@@ -923,6 +932,7 @@ def test_step_responses_count_a_rounding_for_each_of_their_terms(monkeypatch):
             counts.clear()
             found = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
             *of_cells, error, bend, overshoot = counts
+            assert (found.begin[:, 0, 0] == 0).all()
             assert min(of_cells) >= 3 and error >= 3
             assert bend >= found.periods + period.size and overshoot >= period.size
             counts.clear()
@@ -965,3 +975,59 @@ def test_at_least_one_cell_is_tried_and_no_more_than_the_work_allows(monkeypatch
 
     monkeypatch.setattr(cover_room, "_work_of", unstable)
     assert cover_room.cells_allowed(plant, 1, "default") == 48
+
+
+@pytest.mark.parametrize(("delay", "doublings"), [("0", 4), ("9", 6)])
+def test_sums_over_few_periods_count_their_roundings(monkeypatch, delay, doublings):
+    """Of few blocks, or of entries that are many beside them; of levels, each derivative's."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(gains_room, "widened", counting)
+    monkeypatch.setattr(levels_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(
+            replace(late_drive(delay), desired=flint.arb_mat([[1, 0], [1, 1]])), (1, 1)
+        )
+        rows = output_rows(period)[-2:]
+        output_gains(period, rows, doublings)
+        assert min(counts) >= 3 and max(counts) >= period.size
+        counts.clear()
+        partly_cancelled(period, rows, doublings)
+        assert min(counts) >= 3
+
+
+@pytest.mark.parametrize(("q", "of_error"), [(0, 4), (2, 4), (3, 4), (4, 5)])
+def test_outputs_are_polynomials_of_the_degrees_that_the_page_of_files_states(q, of_error):
+    """3 of e_1, at least q; 2 of the states: so many rows in each cell, and of u one each."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        rows = output_rows(exact_period([1] * (q + 2), (1, 2), n=2))
+    for p in range(2):
+        found = [row.output for row in rows if row.phase == p]
+        assert found == [0] * of_error + [1] * 3 + [2] * 3 + [3, 4] * (p == 0) or p == 0
+        assert [found.count(k) for k in range(5)] == [of_error, 3, 3, *[int(p == 0)] * 2]
+        shares = [row.share for row in rows if row.phase == p and row.output == 0]
+        assert shares == [flint.fmpq(i, of_error - 1) for i in range(of_error)]
+
+
+def test_errors_of_products_count_once_and_not_in_every_block(monkeypatch):
+    """The sums of the values have none; those of the errors stand beside them."""
+    asked = []
+
+    def noted(columns, values, error):
+        asked.append((np.abs(values).max(), error.max()))
+        return sums_over_time(columns, values, error)
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive("0.5"), (1, 2))
+        rows = output_rows(period)
+        past = PastRows.of_outputs(period, rows, 4)
+        columns = kernel_columns(period, len(period.cells), True)
+        monkeypatch.setattr(gains_room, "sums_over_time", noted)
+        gains_room.sums_of_periods(period, columns, past, 4)
+    *of_blocks, of_errors = asked
+    assert len(of_blocks) == 4 and all(v > 0 and error == 0 for v, error in of_blocks)
+    assert of_errors[0] == 0 < of_errors[1]

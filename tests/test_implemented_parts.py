@@ -125,6 +125,7 @@ def test_nothing_is_proven_where_the_term_drives_the_loop_apart():
     assert "too strong for the sampled loop" in found.reason
     none = missing_implemented("why")
     assert math.isinf(none.bound) and none.reason == "why" and none.starts == "none"
+    assert none.cells == 0 and not none.verified
 
 
 #: |x_1| <= 2, |x_2| <= 3 and x_1 + 2 x_2 <= 4.

@@ -219,7 +219,7 @@ def test_what_is_found_for_later_is_above_its_own_image():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_what_a_start_adds_to_the_rows(known):
+def test_what_a_start_adds_to_the_rows(monkeypatch, known):
     """One plant state, a memory of it and of the input, and one command: chi = (x, y, u).
 
     x(0) = 2 +- 1, the input before is 4, the sensor's error 3; Pi = (1, 2, 3) y_d(0), y_d(0) = 5.
@@ -254,6 +254,10 @@ def test_what_a_start_adds_to_the_rows(known):
     (zeta,) = seen
     start_free = noise if known else noise + reference
     assert no_less(zeta, np.abs(fixed + 2 * Z) + Z + start_free)
+    counts = []
+    monkeypatch.setattr(start, "widened", lambda v, k=8: counts.append(k) or widened(v, k))
+    made.transient(starts)
+    assert len(counts) >= 5 and min(counts) >= 3
 
 
 def test_what_is_left_to_the_limits_of_the_input_and_of_its_steps(monkeypatch):
@@ -613,7 +617,12 @@ def test_what_is_looked_for_of_the_starts_of_a_delay(
     monkeypatch.setattr(from_starts, "start_prover", lambda *parts: asked.append(parts) or prover)
     monkeypatch.setattr(from_starts, "polytope_of", lambda prover, start: f"of {start.of}")
     said = [""]
-    monkeypatch.setattr(from_starts, "limit_met", lambda *parts: said[0])
+
+    def met(system, drive, start):
+        assert (system, drive, start.of) == ("it", "drive", "x0")
+        return said[0]
+
+    monkeypatch.setattr(from_starts, "limit_met", met)
     starts = tuple(SimpleNamespace(of=of) for of in known)
     proof = ImplementedProof("1/2", (2, 3), 5, ("1",), "1", "1", "1", starts)
     found = from_starts._starts_of_delay("it", proof, "plant", {"x0": 7})
