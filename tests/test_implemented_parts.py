@@ -16,6 +16,7 @@ import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import certify as certify_room
+from certrack.certificates.implemented import cover as cover_room
 from certrack.certificates.implemented import margins
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
@@ -381,7 +382,7 @@ class Ranges:
         self.box = ((rational(0), rational(2)),)
 
 
-def test_cells_for_one_delay_fill_the_ranges():
+def test_cells_for_one_delay_fill_the_ranges(monkeypatch):
     def proofs(*cells):
         made = ImplementedProof("0", (1, 1), 5, (), "1", "1", "1")
         return [replace(made, cell=(cell,)) for cell in cells]
@@ -394,6 +395,10 @@ def test_cells_for_one_delay_fill_the_ranges():
     wide = [replace(halves[0], cell=(("0", "1"), ("0", "1")))]
     assert "one interval for each range" in failed_cells(wide, Ranges(False))
     assert "more than" in failed_cells(halves * 600, Ranges(False))
+    monkeypatch.setattr(cover_room, "MAX_PROOF_CELLS", 2)
+    assert failed_cells(halves, Ranges(False)) == ""
+    monkeypatch.setattr(cover_room, "MAX_PROOF_CELLS", 1)
+    assert "more than 1 cells" in failed_cells(halves, Ranges(False))
 
 
 # sizes of w
@@ -558,3 +563,6 @@ def test_a_plant_in_a_cell_is_its_middle_and_a_channel_for_each_range(
         assert bound.Delta == tuple(int(i == 2 + k) for i in range(2 + len(channels)))
     assert plant.box == (tuple(map(rational, (1, 3))), tuple(map(rational, (4, 5))))
     assert not plant.varies
+    alone = certrack.loads(RANGED).replace(implementation=None)
+    with pytest.raises(NoCertificate, match="has no .implementation"):
+        RangedPlant(alone)
