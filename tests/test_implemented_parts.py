@@ -201,6 +201,7 @@ def test_limits_are_those_without_the_offset_of_the_law(calm):
     ):
         assert limits.hold(rational(size), rational(step)) is holds
     assert not InputLimits(rational(-3), rational(2), rational(1)).hold(rational(3), rational(1))
+    assert InputLimits(rational(-3), rational(2), rational(1)).hold(rational(2), rational(1))
 
 
 def test_a_claim_names_the_start_where_it_counts(calm):
