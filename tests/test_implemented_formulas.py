@@ -19,6 +19,7 @@ from certrack.certificates.implemented import lags as lags_room
 from certrack.certificates.implemented import levels as levels_room
 from certrack.certificates.implemented import polytope as polytope_room
 from certrack.certificates.implemented import slow as slow_room
+from certrack.certificates.implemented import start as start_room
 from certrack.certificates.implemented import timing as timing_room
 from certrack.certificates.implemented.drive import DRIVE_BITS, SlowBound, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed, widened
@@ -1031,3 +1032,37 @@ def test_errors_of_products_count_once_and_not_in_every_block(monkeypatch):
     *of_blocks, of_errors = asked
     assert len(of_blocks) == 4 and all(v > 0 and error == 0 for v, error in of_blocks)
     assert of_errors[0] == 0 < of_errors[1]
+
+
+def test_half_spaces_lose_what_their_products_may_round(monkeypatch):
+    """As if roundings were large: off by 4 (n + 4) of them, and limits by 4 of their sizes."""
+    unit = 2.0**-10
+    monkeypatch.setattr(polytope_room, "ROUNDOFF", unit)
+    rng = np.random.default_rng(4)
+    rows, error = rng.uniform(-1, 1, (5, 3)), rng.uniform(0, 1e-3, (5, 3))
+    region = np.array([[-1.0, 2.0], [-3.0, 1.0], [-0.5, 0.25]])
+    size, limits = np.array([2.0, 3.0, 0.5]), np.array([0.5, -0.25, 0.125, 0.75, -0.5])
+    kept, found = polytope_room.half_spaces(rows, error, limits, region)
+    off = error @ size + 4 * 7 * unit * (np.abs(rows) @ size)
+    expected = limits - off - 4 * unit * (np.abs(limits) + off)
+    assert (kept == rows).all() and found == pytest.approx(expected, rel=1e-12)
+    reach = np.where(rows > 0, rows * region[:, 1], rows * region[:, 0]).sum(axis=1)
+    slack = 4 * 7 * unit * (np.abs(rows) @ size)
+    for part, needed in ((0.99, True), (1.01, False)):
+        room = (reach + part * slack + 4 * 7 * unit * (np.abs(rows) @ size)) / (1 - 4 * unit)
+        room += 4 * unit * 4 * 7 * unit * (np.abs(rows) @ size) / (1 - 4 * unit)
+        assert (room > 0).all()
+        kept, _ = polytope_room.half_spaces(rows, 0 * error, room, region)
+        assert len(kept) == (5 if needed else 0)
+
+
+def test_products_with_a_matrix_lose_what_they_may_round(monkeypatch):
+    unit = 2.0**-10
+    monkeypatch.setattr(start_room, "ROUNDOFF", unit)
+    rng = np.random.default_rng(5)
+    a, b = (Enclosed(rng.uniform(-1, 1, s), rng.uniform(0, 0.1, s)) for s in ((2, 3, 4), (4, 2)))
+    found = _product_with(a, b)
+    p, q = np.abs(a.value), np.abs(b.value)
+    expected = 2 * (4 + 4) * unit * (p @ q) + p @ b.error + a.error @ (q + b.error)
+    assert found.error == pytest.approx(expected, rel=1e-12)
+    assert found.value == pytest.approx(a.value @ b.value)

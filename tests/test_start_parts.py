@@ -295,6 +295,14 @@ def test_what_is_left_to_the_limits_of_the_input_and_of_its_steps(monkeypatch):
         assert (room[part] < left).all()
         assert room[part] == pytest.approx(left, abs=1e-12)
     assert len(table) == len(off) == len(room) == 4 * K
+    monkeypatch.setattr(start_proof, "ROUNDOFF", 2.0**-10)  # as if roundings were large
+    _, _, less, *_ = start_proof.polytope_of(prover, proof)
+    for k, (output, at, sign, end) in enumerate(cases):
+        part = slice(k * K, (k + 1) * K)
+        forced = run.forced[:, output] + transient.free[:, at] + fixed.error[:, at]
+        lost = 8 * 2.0**-10 * (end + np.abs(fixed.value[:, at]) + forced)
+        left = end - sign * fixed.value[:, at] - forced
+        assert less[part] == pytest.approx(left - lost, abs=1e-12)
     within[0] = False
     with pytest.raises(NoCertificate, match="in the long run"):
         start_proof.polytope_of(prover, proof)
