@@ -331,6 +331,9 @@ def test_what_is_linear_in_the_states_is_one_matrix():
         made.drive.uncertain = [SimpleNamespace(gamma=gamma, growing=growing)]
         made._set_affine()
         assert (made._affine is not None) is linear
+        made.drive.uncertain = [SimpleNamespace(gamma=q(0), growing=None), *made.drive.uncertain]
+        made._set_affine()  # all of them are
+        assert (made._affine is not None) is linear
     made.drive.uncertain = [SimpleNamespace(gamma=q(0), growing=None)]
     made._set_affine()
     by_states, constant = made._affine
