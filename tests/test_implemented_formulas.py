@@ -934,6 +934,12 @@ def test_step_responses_count_a_rounding_for_each_of_their_terms(monkeypatch):
             found = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
             *of_cells, error, bend, overshoot = counts
             assert (found.begin[:, 0, 0] == 0).all()
+            with monkeypatch.context() as large:  # as if roundings were
+                large.setattr(slow_room, "ROUNDOFF", 2.0**-10)
+                rounded = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
+            every = np.abs(found.end - found.begin).sum(axis=(1, 2))
+            lost = 2 * (3 * len(period.cells) + 8) * 2.0**-10 * every
+            assert rounded.error - found.error == pytest.approx(lost, rel=1e-6)
             assert min(of_cells) >= 3 and error >= 3
             assert bend >= found.periods + period.size and overshoot >= period.size
             counts.clear()

@@ -29,6 +29,7 @@ from certrack.certificates.implemented.certify import (
     limits_met,
     missing_implemented,
 )
+from certrack.certificates.implemented.controller_matrices import _numbers
 from certrack.certificates.implemented.cover import failed_cells
 from certrack.certificates.implemented.document import (
     MAX_DELAY_PROOFS,
@@ -54,6 +55,7 @@ from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.start_proof import StartProof
 from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 
 #: Poles at -2, an uncertain term of 0.1, samples every 10 ms.
 CALM = DRIVEN_APART.format(drift=0).replace("[[0, 0], [12, 6]]", "[[0, 0], [0.2, 0]]")
@@ -567,3 +569,12 @@ def test_a_plant_in_a_cell_is_its_middle_and_a_channel_for_each_range(
     alone = certrack.loads(RANGED).replace(implementation=None)
     with pytest.raises(NoCertificate, match="has no .implementation"):
         RangedPlant(alone)
+
+
+@pytest.mark.parametrize(("slow", "pole"), [(0.0, 1.0), (0.02, 1 - math.exp(-0.5))])
+def test_differences_are_filtered_by_a_pole_that_is_1_without_a_filter(calm, slow, pole):
+    """Of samples every 10 ms."""
+    system, *_ = calm
+    drive = replace(system.implementation, velocity=("x2",), velocity_filter=slow)
+    found = _numbers(system.replace(implementation=drive), drive)[symbol("ctl_filter")]
+    assert float(found) == pytest.approx(pole, rel=1e-15)
