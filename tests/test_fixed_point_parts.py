@@ -1,7 +1,7 @@
 """Bounds of outputs as a fixed point, regions, polytopes: with numbers that are made up."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -178,8 +178,10 @@ def test_the_search_ends_a_little_above_the_fixed_point():
     (first, second), _ = of.search()
     norm = np.hypot(3 * first, 4 * second)
     assert first == pytest.approx(3 + 0.01 * (2 + norm), rel=1e-5)
-    with pytest.raises(NoCertificate, match="too strong"):
-        outputs(x=[["1.01", 0]] * 6).search()
+    alone = [[0, 0], [0, 0], ["2", 0], [0, 0], [0, 0], [0, 0]]  # leaves the floats, by itself
+    for growing in ([["1.01", 0]] * 6, [["2", 0]] * 6, alone):
+        with pytest.raises(NoCertificate, match="too strong"):
+            outputs(x=growing).search()
 
 
 def test_the_parts_of_a_bound():
@@ -233,6 +235,12 @@ def test_the_image_with_jitter_has_steps_and_rates():
     assert [float(a) for a in image[1:]] == pytest.approx(v, rel=3 * FIXED_POINT_MARGIN)
     with pytest.raises(NoCertificate, match="jitter is too large"):
         timed(by_step=balls([1] * 7)).search()
+    with pytest.raises(NoCertificate, match="jitter is too large"):
+        timed(by_step=balls([3] * 7)).search()
+    still = timed()
+    still.bounds.constant, still.bounds.w = balls([0] * 7), balls([[0]] * 7)
+    still = replace(still, direct=balls([[0]] * 7))
+    assert still.search() == [SMALLEST_BOUND] * 6
     with pytest.raises(NoCertificate, match="range of floating point"):
         bounds.image([flint.arb("nan"), q(2)], q(10), q(20), [q(30), q(40)])
 

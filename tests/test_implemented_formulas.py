@@ -13,10 +13,17 @@ from test_implemented import UNIT_W, bare_drive
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import cover as cover_room
 from certrack.certificates.implemented import gains as gains_room
+from certrack.certificates.implemented import lags as lags_room
+from certrack.certificates.implemented import levels as levels_room
+from certrack.certificates.implemented import polytope as polytope_room
+from certrack.certificates.implemented import slow as slow_room
+from certrack.certificates.implemented import start as start_room
 from certrack.certificates.implemented import timing as timing_room
-from certrack.certificates.implemented.drive import DRIVE_BITS, UncertainBound
+from certrack.certificates.implemented.drive import DRIVE_BITS, SlowBound, UncertainBound
 from certrack.certificates.implemented.enclosed import Enclosed, widened
+from certrack.certificates.implemented.estimate import _estimated_gains
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     gains_of,
@@ -31,10 +38,24 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.levels import Level, _memories, _still, reference_columns
+from certrack.certificates.implemented.lags import lag_gains
+from certrack.certificates.implemented.levels import (
+    Level,
+    _memories,
+    _sized,
+    _still,
+    _where_the_error_is_zero,
+    levels_of,
+    partly_cancelled,
+    reference_columns,
+)
 from certrack.certificates.implemented.outputs import InCell, Row, _in_cell, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
-from certrack.certificates.implemented.powers import powers_of_columns, powers_of_rows
+from certrack.certificates.implemented.powers import (
+    PastRows,
+    powers_of_columns,
+    powers_of_rows,
+)
 from certrack.certificates.implemented.start import (
     Later,
     _product_with,
@@ -655,3 +676,399 @@ def test_jitter_adds_what_moves_within_it(delay):
         entries = [flint.arb(x) for x in v]
         after = timed.image(entries[:2], entries[2], entries[3], entries[4:])
         assert all(float(a) < b <= float(a) * 1.01 for a, b in zip(after[1:], v, strict=True))
+
+
+# the period, and what the law wants in it
+
+
+def late_drive(delay, q_order=1):
+    """Two states, one memory, delayed inputs; Lx, Ls and the rest are made up."""
+    Ly = list(range(1, q_order + 3))
+    drive = bare_drive(
+        [[-1, 1], [0, -2]], [0, 3], [[1, 0], [0, 1]], Ly, 0.1, [1.0] * len(Ly), 0.5, []
+    )
+    return replace(
+        drive,
+        delay=rational(delay),
+        Lx=flint.arb_mat([[-0.25, 0.125]]),
+        Ls=flint.arb_mat([[0.5]]),
+        Sx=flint.arb_mat([[0.25, -0.5]]),
+        Ss=flint.arb_mat([[0.375]]),
+        Sy=flint.arb_mat([[k + 0.5 for k in range(q_order + 2)]]),
+        first=flint.arb_mat([[1, 1]]),
+        first_input=flint.arb_mat([[0]]),
+        uncertain=(replace(UNIT_W, weights=(1, 1), Delta=(0, 0)),) * 2,
+        mu=(rational("0.01"), rational("0.02")),
+        eta=rational("0.03"),
+    )
+
+
+def middles(matrix):
+    return np.array([[float(v.mid()) for v in row] for row in matrix.tolist()])
+
+
+@pytest.mark.parametrize(
+    ("delay", "counts"), [("0", (0, 3)), ("0.75", (2, 3)), ("1.75", (2, 3)), ("2", (0, 3))]
+)
+def test_a_period_has_cells_before_and_after_its_input_takes_over(delay, counts):
+    """The input of `floor(delay)` periods before takes over; until then one more acts."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive(delay), (2, 3))
+    periods, part = int(float(delay)), float(delay) % 1
+    newest = period.command + periods
+    assert (period.command, period.size) == (3, 3 + periods + 2)
+    assert period.drive.jitter == 0
+    lengths = [0.1 * part / 2] * counts[0] + [0.1 * (1 - part) / 3] * counts[1]
+    acting = [newest + 1] * counts[0] + [newest] * counts[1]
+    assert [float(cell.length) for cell in period.cells] == pytest.approx(lengths)
+    assert sum(cell.length for cell in period.cells) == period.drive.T
+    assert [cell.acting for cell in period.cells] == acting
+    for cell in period.cells:
+        block = np.zeros((3, 3))
+        block[:2] = [[-1, 1, 0], [0, -2, 3]]
+        over = expm(block * float(cell.length))
+        expected = np.eye(period.size)
+        expected[:2, :2], expected[:2, cell.acting] = over[:2, :2], over[:2, 2]
+        assert middles(cell.transition) == pytest.approx(expected)
+    jump = np.eye(period.size, k=-1)
+    jump[:4] = 0
+    jump[:2, :2] = np.eye(2)
+    jump[2, :3], jump[3, :3] = [0.25, -0.5, 0.375], [-0.25, 0.125, 0.5]
+    assert middles(period.jump) == pytest.approx(jump)
+    noise = np.zeros((period.size, 2))
+    noise[2], noise[3] = [0.25, -0.5], [-0.25, 0.125]
+    assert middles(period.noise) == pytest.approx(noise)
+    reference = np.zeros((period.size, 3))
+    reference[2], reference[3] = [0.5, 1.5, 2.5], [1, 2, 3]
+    assert middles(period.reference) == pytest.approx(reference)
+
+
+@pytest.mark.parametrize("q", [0, 1, 2])
+@pytest.mark.parametrize("delay", ["0", "0.5", "1.5"])
+def test_where_the_error_is_zero_states_memories_and_inputs_are_as_wanted(delay, q):
+    """Y is a polynomial: x_d of each cell's begin, the memory and inputs of the samples before."""
+    rng = np.random.default_rng(q)
+    desired = rng.integers(-4, 5, (2, q + 1))
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(late_drive(delay, q), desired=flint.arb_mat(desired.tolist()))
+        period = one_period(drive, (2, 1))
+        found = _where_the_error_is_zero(period)
+        s = middles(_memories(drive, shift(q, -drive.T)))
+        assert _where_the_error_is_zero(replace(period, drive=replace(drive, desired=None))) is None
+    assert len(found) == len(period.cells) + 1
+    Y0 = rng.uniform(-1, 1, q + 1)
+
+    def Y(t):
+        return np.array(
+            [
+                sum(Y0[j] * t ** (j - i) / math.factorial(j - i) for j in range(i, q + 1))
+                for i in range(q + 1)
+            ]
+        )
+
+    def command(t):
+        of_Y = [k + 1 for k in range(q + 1)] @ Y(t)
+        return [-0.25, 0.125] @ desired @ Y(t) + 0.5 * (s @ Y(t - 0.1))[0] + of_Y
+
+    inputs = [command(-0.1 * k) for k in range(period.size - 3)]
+    t = 0.0
+    for Pi, length in zip(found, [*(float(c.length) for c in period.cells), 0.0], strict=True):
+        expected = [*(desired @ Y(t)), (s @ Y(0.0))[0], *inputs]
+        assert middles(Pi) @ Y(t) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        t += length
+
+
+@pytest.mark.parametrize("lipschitz", [0.5, None])
+@pytest.mark.parametrize("jumps", [None, (1.0, 0.35), (1.0, 0.1)])
+@pytest.mark.parametrize("delay", ["0", "0.5"])
+def test_gains_in_floats_are_those_of_the_proof(delay, jumps, lipschitz):
+    """But for what bends within the cells, and what is left after all periods."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(
+            late_drive(delay),
+            jumps=None if jumps is None else tuple(map(rational, jumps)),
+            lipschitz=None if lipschitz is None else rational(lipschitz),
+        )
+        period = one_period(drive, (12, 16))
+        rows = output_rows(period)[::3] + output_rows(period)[-2:]
+        for doublings in (7, 8):
+            found = _estimated_gains(period, rows, doublings)
+            proven = output_gains(period, rows, doublings)
+            for name in ("w", "r", "noise", "sample", "step", "first", "jump"):
+                guess, value = getattr(found, name), getattr(proven, name)
+                assert guess.shape == value.shape
+                assert guess == pytest.approx(value, rel=2e-4, abs=1e-9), name
+                assert (guess <= value * (1 + 1e-9)).all()
+            assert (found.jump > 0).any() == (jumps is not None)
+
+
+# what is before the periods that are summed, and roundings
+
+
+@pytest.mark.parametrize("lipschitz", [0.5, None])
+def test_what_is_before_the_periods_that_are_summed_is_bounded(lipschitz):
+    """After 16 periods a fifth is left: fewer periods never say less."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        jumps = (rational(1.0), rational(0.35))
+        smooth = None if lipschitz is None else rational(lipschitz)
+        drive = replace(
+            late_drive("0.5"),
+            jumps=jumps,
+            lipschitz=smooth,
+            desired=flint.arb_mat([[1, 0], [1, 1]]),
+        )
+        period = one_period(drive, (1, 2))
+        rows = output_rows(period)[::4] + output_rows(period)[-2:]
+        short, long = (output_gains(period, rows, d) for d in (4, 8))
+        for name in ("w", "r", "noise", "sample", "step", "first", "jump"):
+            few, many = getattr(short, name), getattr(long, name)
+            assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        often = replace(drive, jumps=(rational(1.0), rational(0.1)))  # in every period
+        of_each = output_gains(one_period(often, (1, 2)), rows, 4)
+        assert of_each.jump == pytest.approx(of_each.sample, rel=1e-9)
+        assert (short.old > 1e-3 * short.w).all() and (long.old < 1e-6 * long.w).all()
+        lagged = [lag_gains(period, rows, d) for d in (4, 8)]
+        few, many = (g.running + g.lags.sum(axis=0) + g.tail for g in lagged)
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        nw = period.drive.W.ncols()
+        assert few[:, :nw] == pytest.approx(short.w, rel=1e-6)
+        few, many = (pulse_gains(period, rows, d) for d in (4, 8))
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+        few, many = (partly_cancelled(period, rows, d) for d in (4, 8))
+        assert (few >= many * (1 - 1e-9) - 1e-200).all() and (few <= 20 * many + 1e-9).all()
+
+
+def test_the_reference_counts_by_its_smallest_level():
+    """Of every level what stands still, the running period, and all periods before it."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(late_drive("0.5", 2), desired=flint.arb_mat([[1, 0, 0], [1, 1, 2]]))
+        period = one_period(drive, (1, 2))
+        every = output_rows(period)
+        rows = every[::3] + every[-2:]
+        found = partly_cancelled(period, rows, 8)
+        levels = levels_of(period)
+        assert len(levels) == 3
+        assert (
+            partly_cancelled(replace(period, drive=replace(drive, desired=None)), rows, 8) is None
+        )
+        M, J = middles(period.map), len(period.cells)
+        whole = reference_columns(period, levels, J)
+        expected = np.zeros((len(rows), len(levels)))
+        for i, row in enumerate(rows):
+            line = flint.arb_mat([list(row.row)])
+            if row.phase:
+                seen = reference_columns(period, levels, row.phase)
+                values = middles(line * seen.all())[:, None]
+                sums = sums_over_time(seen, values, 0 * values[:, 0])
+                expected[i] += _sized(period, levels, seen, row.phase, sums)[0]
+            at = middles(line * (period.since_jump(row.phase)[-1] * period.jump))[0]
+            past = np.array([at @ np.linalg.matrix_power(M, k) for k in range(256)])
+            values = (past @ middles(whole.all()))[None]
+            sums = sums_over_time(whole, values, 0 * values[:, 0])
+            expected[i] += _sized(period, levels, whole, J, sums)[0]
+        expected += _still(period, levels, rows)
+    assert found == pytest.approx(expected.min(axis=1), rel=1e-6)
+    assert (found >= expected.min(axis=1) * (1 - 1e-9)).all()
+    assert (expected.max(axis=1) > 1.001 * expected.min(axis=1)).any()
+
+
+@pytest.mark.parametrize(("delay", "cells", "doublings"), [(9, 1, 4), (0, 12, 1), (0, 1, 9)])
+def test_sums_of_pulses_count_roundings_of_all_that_is_large(monkeypatch, delay, cells, doublings):
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(timing_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = replace(exact_period([1, 1], (1, 1)).drive, delay=rational(delay))
+        period = one_period(drive, (1, cells))
+        pulse_gains(period, output_rows(period), doublings)
+    inner = doublings // 2
+    block, blocks = 2**inner, 2 ** (doublings - inner)
+    assert len(counts) == blocks + 3
+    assert min(counts[:blocks]) >= block + period.size
+    assert counts[blocks] >= blocks + period.size + cells + 1
+    assert counts[blocks + 1] >= period.size + 1
+
+
+def test_tables_that_are_too_large_are_refused(monkeypatch):
+    """So many numbers as all lags, or all step responses, have."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive("0.5"), (1, 2))
+        rows = output_rows(period)[-5:]
+        numbers = 2**3 * (5 + period.size) * (2 + 2 + 4 + period.size)
+        monkeypatch.setattr(lags_room, "MAX_LAG_NUMBERS", numbers)
+        assert len(lag_gains(period, rows, 3).lags) == 8
+        monkeypatch.setattr(lags_room, "MAX_LAG_NUMBERS", numbers - 1)
+        with pytest.raises(NoCertificate, match="too large, or too slow"):
+            lag_gains(period, rows, 3)
+        slow = SlowBound(rational(1), (rational(0),) * 2, rational(0), None, rational(0))
+        uncertain = tuple(replace(bound, slow=slow) for bound in period.drive.uncertain)
+        for parts, most in (((1, 1), 2**3 * 5), ((7, 9), 2**3 * 5)):
+            period = one_period(replace(late_drive("0.5"), uncertain=uncertain), parts)
+            most *= max(period.size, sum(parts) * 2)
+            monkeypatch.setattr(slow_room, "MAX_STEP_NUMBERS", most)
+            assert slow_room.StepResponses.of(period, rows, 3).periods == 9
+            monkeypatch.setattr(slow_room, "MAX_STEP_NUMBERS", most - 1)
+            with pytest.raises(NoCertificate, match="step responses"):
+                slow_room.StepResponses.of(period, rows, 3)
+
+
+def test_step_responses_count_a_rounding_for_each_of_their_terms(monkeypatch):
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    slow = SlowBound(rational(1), (rational(0),) * 2, rational(0), None, rational(0))
+    monkeypatch.setattr(slow_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        for delay in ("0.5", "9.5"):
+            drive = late_drive(delay)
+            uncertain = tuple(replace(bound, slow=slow) for bound in drive.uncertain)
+            period = one_period(replace(drive, uncertain=uncertain), (1, 1))
+            counts.clear()
+            found = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
+            *of_cells, error, bend, overshoot = counts
+            assert (found.begin[:, 0, 0] == 0).all()
+            with monkeypatch.context() as large:  # as if roundings were
+                large.setattr(slow_room, "ROUNDOFF", 2.0**-10)
+                rounded = slow_room.StepResponses.of(period, output_rows(period)[:5], 1)
+            every = np.abs(found.end - found.begin).sum(axis=(1, 2))
+            lost = 2 * (3 * len(period.cells) + 8) * 2.0**-10 * every
+            assert rounded.error - found.error == pytest.approx(lost, rel=1e-6)
+            assert min(of_cells) >= 3 and error >= 3
+            assert bend >= found.periods + period.size and overshoot >= period.size
+            counts.clear()
+            found.measures(0, np.ones(3), np.zeros(5), 1)
+            assert len(counts) == 3 and counts[0] >= 3 + 2
+            assert counts[1] >= 3 * 2 + 4 and counts[2] >= 3 + 1
+
+
+def test_half_spaces_count_a_rounding_for_each_of_their_states(monkeypatch):
+    for n in (1, 30):
+        counts = []
+        monkeypatch.setattr(
+            polytope_room,
+            "widened",
+            lambda v, k=8, counts=counts: counts.append(k) or widened(v, k),
+        )
+        ones = np.ones((2, n))
+        polytope_room.half_spaces(ones, 0 * ones, np.ones(2), np.array([[-1.0, 1.0]] * n))
+        assert counts.pop() >= n + 3
+
+
+def test_at_least_one_cell_is_tried_and_no_more_than_the_work_allows(monkeypatch):
+    period = exact_period([0, 1], (1, 1))
+    plant = SimpleNamespace(box="box", drive=lambda box, delay: period.drive)
+    monkeypatch.setattr(cover_room, "one_period", lambda drive, parts: period)
+    for work, effort, cells in (
+        (1e12, "default", 1),
+        (1e12, "high", 1),
+        (2e8, "default", 10),
+        (2e8, "high", 40),
+        (1.0, "default", 48),
+        (1.0, "high", 192),
+        (1.0, "fast", 1),
+    ):
+        monkeypatch.setattr(cover_room, "_work_of", lambda _, work=work: work)
+        assert cover_room.cells_allowed(plant, 1, effort) == cells
+
+    def unstable(_):
+        raise NoCertificate("it is unstable")
+
+    monkeypatch.setattr(cover_room, "_work_of", unstable)
+    assert cover_room.cells_allowed(plant, 1, "default") == 48
+
+
+@pytest.mark.parametrize(("delay", "doublings"), [("0", 4), ("9", 6)])
+def test_sums_over_few_periods_count_their_roundings(monkeypatch, delay, doublings):
+    """Of few blocks, or of entries that are many beside them; of levels, each derivative's."""
+    counts = []
+
+    def counting(values, roundings=8):
+        counts.append(roundings)
+        return widened(values, roundings)
+
+    monkeypatch.setattr(gains_room, "widened", counting)
+    monkeypatch.setattr(levels_room, "widened", counting)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(
+            replace(late_drive(delay), desired=flint.arb_mat([[1, 0], [1, 1]])), (1, 1)
+        )
+        rows = output_rows(period)[-2:]
+        output_gains(period, rows, doublings)
+        assert min(counts) >= 3 and max(counts) >= period.size
+        counts.clear()
+        partly_cancelled(period, rows, doublings)
+        assert min(counts) >= 3
+
+
+@pytest.mark.parametrize(("q", "of_error"), [(0, 4), (2, 4), (3, 4), (4, 5)])
+def test_outputs_are_polynomials_of_the_degrees_that_the_page_of_files_states(q, of_error):
+    """3 of e_1, at least q; 2 of the states: so many rows in each cell, and of u one each."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        rows = output_rows(exact_period([1] * (q + 2), (1, 2), n=2))
+    for p in range(2):
+        found = [row.output for row in rows if row.phase == p]
+        assert found == [0] * of_error + [1] * 3 + [2] * 3 + [3, 4] * (p == 0) or p == 0
+        assert [found.count(k) for k in range(5)] == [of_error, 3, 3, *[int(p == 0)] * 2]
+        shares = [row.share for row in rows if row.phase == p and row.output == 0]
+        assert shares == [flint.fmpq(i, of_error - 1) for i in range(of_error)]
+
+
+def test_errors_of_products_count_once_and_not_in_every_block(monkeypatch):
+    """The sums of the values have none; those of the errors stand beside them."""
+    asked = []
+
+    def noted(columns, values, error):
+        asked.append((np.abs(values).max(), error.max()))
+        return sums_over_time(columns, values, error)
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(late_drive("0.5"), (1, 2))
+        rows = output_rows(period)
+        past = PastRows.of_outputs(period, rows, 4)
+        columns = kernel_columns(period, len(period.cells), True)
+        monkeypatch.setattr(gains_room, "sums_over_time", noted)
+        gains_room.sums_of_periods(period, columns, past, 4)
+    *of_blocks, of_errors = asked
+    assert len(of_blocks) == 4 and all(v > 0 and error == 0 for v, error in of_blocks)
+    assert of_errors[0] == 0 < of_errors[1]
+
+
+def test_half_spaces_lose_what_their_products_may_round(monkeypatch):
+    """As if roundings were large: off by 4 (n + 4) of them, and limits by 4 of their sizes."""
+    unit = 2.0**-10
+    monkeypatch.setattr(polytope_room, "ROUNDOFF", unit)
+    rng = np.random.default_rng(4)
+    rows, error = rng.uniform(-1, 1, (5, 3)), rng.uniform(0, 1e-3, (5, 3))
+    region = np.array([[-1.0, 2.0], [-3.0, 1.0], [-0.5, 0.25]])
+    size, limits = np.array([2.0, 3.0, 0.5]), np.array([0.5, -0.25, 0.125, 0.75, -0.5])
+    kept, found = polytope_room.half_spaces(rows, error, limits, region)
+    off = error @ size + 4 * 7 * unit * (np.abs(rows) @ size)
+    expected = limits - off - 4 * unit * (np.abs(limits) + off)
+    assert (kept == rows).all() and found == pytest.approx(expected, rel=1e-12)
+    reach = np.where(rows > 0, rows * region[:, 1], rows * region[:, 0]).sum(axis=1)
+    slack = 4 * 7 * unit * (np.abs(rows) @ size)
+    for part, needed in ((0.99, True), (1.01, False)):
+        room = (reach + part * slack + 4 * 7 * unit * (np.abs(rows) @ size)) / (1 - 4 * unit)
+        room += 4 * unit * 4 * 7 * unit * (np.abs(rows) @ size) / (1 - 4 * unit)
+        assert (room > 0).all()
+        kept, _ = polytope_room.half_spaces(rows, 0 * error, room, region)
+        assert len(kept) == (5 if needed else 0)
+
+
+def test_products_with_a_matrix_lose_what_they_may_round(monkeypatch):
+    unit = 2.0**-10
+    monkeypatch.setattr(start_room, "ROUNDOFF", unit)
+    rng = np.random.default_rng(5)
+    a, b = (Enclosed(rng.uniform(-1, 1, s), rng.uniform(0, 0.1, s)) for s in ((2, 3, 4), (4, 2)))
+    found = _product_with(a, b)
+    p, q = np.abs(a.value), np.abs(b.value)
+    expected = 2 * (4 + 4) * unit * (p @ q) + p @ b.error + a.error @ (q + b.error)
+    assert found.error == pytest.approx(expected, rel=1e-12)
+    assert found.value == pytest.approx(a.value @ b.value)

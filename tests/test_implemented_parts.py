@@ -4,6 +4,7 @@ import copy
 import math
 from dataclasses import asdict, replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
@@ -14,6 +15,8 @@ from test_implemented import UNIT_W
 import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import certify as certify_room
+from certrack.certificates.implemented import cover as cover_room
 from certrack.certificates.implemented import margins
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
@@ -26,6 +29,7 @@ from certrack.certificates.implemented.certify import (
     limits_met,
     missing_implemented,
 )
+from certrack.certificates.implemented.controller_matrices import _numbers
 from certrack.certificates.implemented.cover import failed_cells
 from certrack.certificates.implemented.document import (
     MAX_DELAY_PROOFS,
@@ -48,8 +52,10 @@ from certrack.certificates.implemented.input_limits import (
 from certrack.certificates.implemented.margins import period_margins
 from certrack.certificates.implemented.polytope import Polytope
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.start_proof import StartProof
 from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 
 #: Poles at -2, an uncertain term of 0.1, samples every 10 ms.
 CALM = DRIVEN_APART.format(drift=0).replace("[[0, 0], [12, 6]]", "[[0, 0], [0.2, 0]]")
@@ -122,6 +128,7 @@ def test_nothing_is_proven_where_the_term_drives_the_loop_apart():
     assert "too strong for the sampled loop" in found.reason
     none = missing_implemented("why")
     assert math.isinf(none.bound) and none.reason == "why" and none.starts == "none"
+    assert none.cells == 0 and not none.verified
 
 
 #: |x_1| <= 2, |x_2| <= 3 and x_1 + 2 x_2 <= 4.
@@ -196,6 +203,7 @@ def test_limits_are_those_without_the_offset_of_the_law(calm):
     ):
         assert limits.hold(rational(size), rational(step)) is holds
     assert not InputLimits(rational(-3), rational(2), rational(1)).hold(rational(3), rational(1))
+    assert InputLimits(rational(-3), rational(2), rational(1)).hold(rational(2), rational(1))
 
 
 def test_a_claim_names_the_start_where_it_counts(calm):
@@ -258,6 +266,16 @@ def test_every_delay_must_be_proven_at_the_last_period(monkeypatch, calm):
     found, asked = searched(monkeypatch, calm, serves, delays=2)
     assert 0.01 < found.slowest <= 0.03 and not found.slower_untried and found.bound == 4
     assert (found.slowest, 0) in asked and (found.slowest, 1) in asked
+
+
+@pytest.mark.parametrize(
+    ("limit", "slowest"), [(0.0105, 0.01033), (0.0103, 0.01), (0.0107, 0.01067)]
+)
+def test_a_period_that_is_hardly_slower_is_the_own_one(monkeypatch, calm, limit, slowest):
+    """On the way back from 0.64 s, by halves of an order: within a 32nd nothing is tried."""
+    found, _ = searched(monkeypatch, calm, lambda T, delay: 1.0 if delay or limit >= T else None, 2)
+    assert found.slowest == slowest and not found.slower_untried
+    assert found.fastest == pytest.approx(0.01 / 8) and found.faster_untried
 
 
 # files
@@ -367,7 +385,7 @@ class Ranges:
         self.box = ((rational(0), rational(2)),)
 
 
-def test_cells_for_one_delay_fill_the_ranges():
+def test_cells_for_one_delay_fill_the_ranges(monkeypatch):
     def proofs(*cells):
         made = ImplementedProof("0", (1, 1), 5, (), "1", "1", "1")
         return [replace(made, cell=(cell,)) for cell in cells]
@@ -380,6 +398,10 @@ def test_cells_for_one_delay_fill_the_ranges():
     wide = [replace(halves[0], cell=(("0", "1"), ("0", "1")))]
     assert "one interval for each range" in failed_cells(wide, Ranges(False))
     assert "more than" in failed_cells(halves * 600, Ranges(False))
+    monkeypatch.setattr(cover_room, "MAX_PROOF_CELLS", 2)
+    assert failed_cells(halves, Ranges(False)) == ""
+    monkeypatch.setattr(cover_room, "MAX_PROOF_CELLS", 1)
+    assert "more than 1 cells" in failed_cells(halves, Ranges(False))
 
 
 # sizes of w
@@ -397,3 +419,162 @@ def test_the_size_of_an_uncertain_term():
     expected = math.hypot(3, 8) / 2 + 5 + 14 + 1 / 3
     assert float(uncertain_size(bound, X).mid()) == pytest.approx(expected, rel=1e-14)
     assert np.isclose(float(uncertain_size(bound, [0, 0]).mid()), 1 / 3)
+
+
+# what a certificate is made of
+
+
+@pytest.mark.parametrize("limited", [True, False])
+@pytest.mark.parametrize("regional", [True, False])
+@pytest.mark.parametrize("shaken", [True, False])
+@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize("reason", ["", "|u| is large"])
+def test_a_certificate_gathers_what_its_parts_say(
+    monkeypatch, reason, asked, shaken, regional, limited
+):
+    made = ImplementedProof("0", (1, 1), 5, ("1", "2", "9"), "3", "1", "5")
+    other = replace(made, states=("4", "1", "9"), input="2", bound="6", cell=(("0", "1"),))
+    other = replace(other, slow=("z",))
+    proven = [(made, {"a": 1.0}), (other, {"b": 2.0})]
+    calls = []
+    found = SimpleNamespace(reason=reason, starts="x0", peaks="P", polytope="T", proofs=("new",))
+
+    def note(name, result):
+        return lambda *parts, **named: calls.append((name, *parts)) or result
+
+    states = []
+    system = SimpleNamespace(
+        plant=SimpleNamespace(n=2),
+        truth=SimpleNamespace(states=states),
+        settings=SimpleNamespace(x0=(7.0, 8.0)),
+        implementation=SimpleNamespace(jitter=0.1 if shaken else 0.0),
+    )
+    refused = [""]
+    for name, result in (
+        ("is_limited", limited),
+        ("is_regional", regional),
+        ("_proven", (proven, "tried")),
+        ("from_starts", found),
+        ("period_margins", "M"),
+        ("nominal_drive", SimpleNamespace(offset=rational("-1/2"))),
+        ("assumptions", ["A"]),
+        ("rated_terms", ("w_1",)),
+        ("rates_unused", "why"),
+    ):
+        monkeypatch.setattr(certify_room, name, note(name, result))
+    monkeypatch.setattr(certify_room, "limits_met", lambda system, proofs: refused[0])
+    given, proofs = certify_implemented(system, from_start=asked, margins=asked, effort="high")
+    names = [name for name, *_ in calls]
+    partly = limited or regional
+    looked = partly or (asked and not shaken)
+    assert ("from_starts" in names) is looked
+    assert ("period_margins" in names) is (asked and not (regional or shaken))
+    assert given.margins == ("M" if asked and not (regional or shaken) else None)
+    for name, *parts in calls:
+        if name == "period_margins":
+            assert parts[1:] == [(made, other), certify_room.limits_met, "tried"]
+        if name == "rates_unused":
+            assert parts[1] is other
+    assert (given.bound, given.peak_input, given.states) == (6, 3.5, (4, 2))
+    assert (given.parts, given.cells, given.slow) == ({"b": 2.0}, 1, ("w_1",))
+    assert (given.assumptions, given.rates_unused, given.start) == (("A",), "why", (7.0, 8.0))
+    failed = limited and looked and bool(reason)
+    assert given.verified is not failed and given.reason == (reason if failed else "")
+    assert given.saturation == ("none" if not limited else "may act" if failed else "inactive")
+    assert given.starts == ("x0" if partly else "any")
+    assert (given.peaks, given.polytope) == (("P", "T") if looked else (None, None))
+    assert proofs == (() if failed else ("new",) if looked else (made, other))
+    states.append("of its own")
+    proven[1] = (replace(other, slow=()), {"b": 2.0})
+    given, _ = certify_implemented(system)
+    assert given.start == () and given.slow == () and given.margins is None
+    refused[0] = "its limits"
+    given, proofs = certify_implemented(system)
+    assert (given.reason, given.exists, proofs) == ("its limits", False, ())
+
+
+# a plant in a cell
+
+RANGED = """
+[plant]
+states = ["x1", "x2"]
+chain = [2]
+drift = "a*x1 + 3*x2 + a/4"
+input_gain = "g"
+gain_sign = 1
+[plant.constants]
+a = 1
+g = 4
+[plant.ranges]
+a = [1, 3]
+g = [4, 5]
+[plant.uncertainty]
+tau = [0.5, 0]
+gamma = [0.01, 0]
+beta = [0.25, 0]
+[truth]
+input_gain = 4
+omega = [0, 0]
+[reference]
+signal = "0.1*sin(t)"
+[law]
+kind = "robust"
+c = [2, 3]
+[simulation]
+x0 = [0, 0]
+duration = 5
+[implementation]
+period = 0.01
+delay = 0.5
+"""
+
+
+@pytest.mark.parametrize(
+    ("a", "g", "drift", "gain", "rest", "channels"),
+    [
+        ((1, 1), (4, 4), 1, 4, "0", []),
+        ((3, 3), (5, 5), 3, 5, "7/16", []),
+        ((1, 3), (4, 4), 2, 4, "1/4", [((1, 0), 0, "1/4", 1.0)]),
+        ((1, 1), (4, 5), 1, 4.5, "-1/32", [((0, 0), 1, "1/16", 0.5)]),
+        ((1, 3), (4, 5), 2, 4.5, "7/32", [((1, 0), 0, "1/4", 1), ((0, 0), 1, "1/16", 0.5)]),
+    ],
+)
+def test_a_plant_in_a_cell_is_its_middle_and_a_channel_for_each_range(
+    a, g, drift, gain, rest, channels
+):
+    """x2' = a x1 + 3 x2 + a/4 + g (u - 1/16), where the law cancels 1/4 with a gain of 4."""
+    plant = RangedPlant(certrack.loads(RANGED))
+    drive = plant.drive(tuple(tuple(map(rational, ends)) for ends in (a, g)), rational("1/4"))
+
+    def numbers(matrix):
+        return [[float(v) for v in row] for row in matrix.tolist()]
+
+    assert numbers(drive.A) == [[0, 2], [drift, 3]] and numbers(drive.b) == [[0], [gain]]
+    width = [size for *_, size in channels]
+    assert numbers(drive.W) == [[0.5, 0] + [0] * len(width), [0, 1, *width]]
+    assert drive.offset == rational("-1/16") and drive.delay == rational("1/4")
+    assert [(c.of_x, c.of_u) for c in drive.channels] == [(x, u) for x, u, *_ in channels]
+    of_w, of_rest, *others = drive.uncertain
+    more = (0,) * len(channels)
+    assert (of_w.gamma, of_w.beta) == (rational("1/100"), rational("1/4"))
+    assert (of_w.weights, of_w.Delta) == ((1, 1, *more), (0, 0, *more))
+    assert (of_rest.gamma, of_rest.beta) == (0, abs(rational(rest)))
+    assert of_rest.weights == of_rest.Delta == (0, 0, *more)
+    for k, (bound, (_, _, constant, _)) in enumerate(zip(others, channels, strict=True)):
+        assert (bound.gamma, bound.beta) == (0, rational(constant))
+        assert bound.weights == (0, 0, *more)
+        assert bound.Delta == tuple(int(i == 2 + k) for i in range(2 + len(channels)))
+    assert plant.box == (tuple(map(rational, (1, 3))), tuple(map(rational, (4, 5))))
+    assert not plant.varies
+    alone = certrack.loads(RANGED).replace(implementation=None)
+    with pytest.raises(NoCertificate, match="has no .implementation"):
+        RangedPlant(alone)
+
+
+@pytest.mark.parametrize(("slow", "pole"), [(0.0, 1.0), (0.02, 1 - math.exp(-0.5))])
+def test_differences_are_filtered_by_a_pole_that_is_1_without_a_filter(calm, slow, pole):
+    """Of samples every 10 ms."""
+    system, *_ = calm
+    drive = replace(system.implementation, velocity=("x2",), velocity_filter=slow)
+    found = _numbers(system.replace(implementation=drive), drive)[symbol("ctl_filter")]
+    assert float(found) == pytest.approx(pole, rel=1e-15)

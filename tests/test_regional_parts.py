@@ -222,7 +222,10 @@ def test_what_has_no_fixed_point_is_refused_before_the_reference_is_looked_at(
         monkeypatch.setattr(proof, "OutputBounds", Bounds)
         monkeypatch.setattr(proof, "partly_cancelled", lambda *parts: None)
         assert isinstance(proof._bounds(period, 5, refuse_early=early), Bounds)
-    assert len(searched) == (1 if early and not regional else 0)
+        assert len(searched) == (1 if early and not regional else 0)
+        searched.clear()
+        proof._bounds(period, 5)  # as a check does
+        assert not searched
 
 
 def test_what_takes_longer_of_a_drive_is_made_where_it_is_asked_for():

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import flint
 import numpy as np
 import pytest
+import sympy
 from test_slow_signals import loop
 
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented import rate_premise, step_search
+from certrack.certificates.implemented import rate_premise, step_search, superposition
 from certrack.certificates.implemented import slow as slow_terms
 from certrack.certificates.implemented.drive import DRIVE_BITS, SlowBound
 from certrack.certificates.implemented.slow import (
@@ -24,7 +25,7 @@ from certrack.certificates.implemented.superposition import (
     is_split,
     speeds_of_states,
 )
-from certrack.certificates.premise import ASSUMED, PROVEN
+from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN
 
 
 def no_less(found, expected):
@@ -360,3 +361,170 @@ def test_a_part_of_the_loop_is_driven_as_the_whole_is():
     loop = SplitLoop(Bounds(), (7, 8), "sensors", "others")
     assert loop._image("constant", "sizes", [1, 2, 3]) == ("values", [1, 2, 3])
     assert asked == [("constant", "sizes", [1, 2], 3)]
+
+
+# a bound by rates
+
+
+class MadeUpTerms:
+    """|e_1| <= 10 less what each z takes off, and 1/8 of all with the split."""
+
+    def __init__(self, gains, split, of_split):
+        self.gains, self.split, self.of_split = gains, split, of_split
+
+    def bound(self, steps):
+        less = sum(gain for gain, z in zip(self.gains, steps, strict=True) if z != ((0, "0"),))
+        return flint.arb(10 - less - (self.of_split if self.split else 0))
+
+
+@pytest.mark.parametrize(
+    ("gains", "of_split", "split", "expected"),
+    [
+        ((1, 2), 1, ("s",), (("z0", "z1"), ("s",), 6)),
+        ((0, 2), 1, ("s",), ((((0, "0"),), "z1"), ("s",), 7)),
+        ((2, 0), 1, ("s",), (("z0", ((0, "0"),)), ("s",), 7)),
+        ((1e-9, 2), 1, ("s",), ((((0, "0"),), "z1"), ("s",), 7)),
+        ((1, 2), 0, ("s",), (("z0", "z1"), (), 7)),
+        ((1, 2), 1e-9, ("s",), (("z0", "z1"), (), 7)),
+        ((1, 2), 9, (), (("z0", "z1"), (), 7)),
+        ((0, 0), 0, (), ((), (), 10)),
+        ((0, -1), 0, (), ((), (), 10)),
+    ],
+)
+def test_no_more_is_written_than_makes_a_bound_smaller(
+    monkeypatch, gains, of_split, split, expected
+):
+    asked = []
+    terms = MadeUpTerms(gains, split, of_split)
+    monkeypatch.setattr(step_search, "slow_columns", lambda drive: [0, 1])
+    monkeypatch.setattr(step_search, "search_split", lambda *parts: asked.append(parts) or split)
+    monkeypatch.setattr(step_search, "search_steps", lambda terms: ("z0", "z1"))
+
+    def of(*parts):
+        asked.append(parts)
+        return terms
+
+    def without(terms, parts):
+        assert parts == {}
+        return MadeUpTerms(gains, (), of_split)
+
+    monkeypatch.setattr(step_search, "SlowTerms", SimpleNamespace(of=of))
+    monkeypatch.setattr(step_search, "replace", without)
+    period = SimpleNamespace(drive="drive")
+    found = step_search.by_rates(period, "bounds", 5, ("X", "U"), flint.arb(10))
+    slow, parts, bound = expected
+    assert (found.slow, found.split) == (slow, parts)
+    assert float(found.bound) == pytest.approx(bound, abs=1e-8)
+    assert asked == [("bounds", "X", "U"), (period, "bounds", 5, "X", "U", split)]
+    monkeypatch.setattr(step_search, "slow_columns", lambda drive: [])
+    none = step_search.by_rates(period, "bounds", 5, ("X", "U"), flint.arb(10))
+    assert (none.slow, none.split, float(none.bound), len(asked)) == ((), (), 10, 2)
+
+
+@pytest.mark.parametrize(
+    ("texts", "reason"),
+    [
+        ((("1", "2", "3"), ("4", "5", "6")), ""),
+        ((("0.5", "0.5", "0.5"), ("0.5", "0.5", "0.5")), ""),
+        ((("1", "2", "3"),), "two bounds"),
+        ((("1", "2", "3"),) * 3, "two bounds"),
+        ((("1", "2"), ("4", "5", "6")), "two bounds"),
+        ((("1", "2", "3"), ("4", "5", "6", "7")), "two bounds"),
+        ((("-0.5", "2", "3"), ("4", "5", "6")), "negative"),
+        ((("1", "2", "3"), ("4", "5", "-0.5")), "negative"),
+        ((("1", "20", "3"), ("4", "5", "6")), "not above"),
+        ((("1", "2", "3"), ("4", "5", "60")), "not above"),
+        ((("7", "2", "3"), ("4", "5", "6")), "not above"),
+    ],
+)
+def test_both_parts_of_a_loop_are_bounded_by_positive_numbers(monkeypatch, texts, reason):
+    """Of images that are 1/10 less, of what is 7 and more as much or more."""
+
+    def image(v):
+        return [flint.arb(x if x >= 7 else x - flint.fmpq(1, 10)) for x in v]
+
+    asked = []
+    made = SimpleNamespace(
+        slow_image=image,
+        fast_image=lambda slow, v: asked.append(slow) or image(v),
+        parts=lambda slow, fast: (slow, fast),
+    )
+    monkeypatch.setattr(superposition, "SplitLoop", SimpleNamespace(of=lambda *parts: made))
+    monkeypatch.setattr(superposition, "_may_split", lambda bounds: bounds.may)
+    bounds = SimpleNamespace(drive=SimpleNamespace(n=2), may=True)
+    if reason:
+        with pytest.raises(NoCertificate, match=reason):
+            superposition.split_from(bounds, "X", texts)
+        return
+    slow, fast = superposition.split_from(bounds, "X", texts)
+    assert [tuple(map(float, v)) for v in (slow, fast)] == [tuple(map(float, t)) for t in texts]
+    assert asked == [slow]
+    bounds.may = False
+    with pytest.raises(NoCertificate, match="no term is a function"):
+        superposition.split_from(bounds, "X", texts)
+
+
+@pytest.mark.parametrize("split", [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("slow", [(False, False), (True, False), (True, True)])
+def test_rates_are_premises_where_a_proof_uses_them(monkeypatch, slow, split):
+    """Of terms that act and have one; of those that are split also what they depend on."""
+    still = SimpleNamespace(by_states=(0, 0), jump=0)
+    follows = SimpleNamespace(by_states=(0, 1), jump=0)
+    jumps = SimpleNamespace(by_states=(0, 1), jump=2)
+    slowness = [still, follows, jumps, None, follows, follows]
+    u = SimpleNamespace(
+        tau=(1.0, 2.0, 1.0, 1.0, 0.0, 1.0),
+        slowness=lambda k: slowness[k],
+        acts=lambda k: k != 5,
+    )
+    system = SimpleNamespace(
+        plant=SimpleNamespace(uncertainty=u, n=2), settings=SimpleNamespace(duration=3)
+    )
+    term = SimpleNamespace(k=1)
+    monkeypatch.setattr(rate_premise, "uncertain_terms", lambda system: [term])
+    monkeypatch.setattr(rate_premise, "random_points", lambda *parts: "points")
+    monkeypatch.setattr(
+        rate_premise._Rate, "premise", lambda self, *parts: (self.k, self.of_states, *parts)
+    )
+    proofs = [SimpleNamespace(slow=a, split=b) for a, b in zip(slow, split, strict=True)]
+    found = list(rate_premise.rate_premises(system, proofs))
+    expected = [
+        (0, False, None, "points"),
+        (1, any(split), term, "points"),
+        (2, False, None, "points"),
+    ]
+    assert found == (expected if any(slow) else [])
+
+
+@pytest.mark.parametrize("formula", ["sign", "tan", "smooth"])
+@pytest.mark.parametrize("slopes", [(True, True), (True, False), (False, False)])
+@pytest.mark.parametrize("exceeded", [None, "there"])
+@pytest.mark.parametrize(("jump", "fast"), [(0, 0), (1, 0), (0, 1)])
+def test_what_is_known_of_a_rate(monkeypatch, formula, slopes, exceeded, jump, fast):
+    """Which premise is proven, checked, assumed or contradicted."""
+    x = sympy.Symbol("x")
+    formulas = {"sign": sympy.sign(x), "tan": sympy.tan(x), "smooth": sympy.sin(x)}
+    slowness = SimpleNamespace(rate=1.0, by_states=(), jump=jump, dwell=2.0, fast=fast)
+    system = SimpleNamespace(plant=SimpleNamespace(states=()))
+    rate = rate_premise._Rate(system, 1, slowness, of_states=False)
+    made = [
+        (f"of {i}", SimpleNamespace(proven=proven, exceeded=lambda points: exceeded), "key")
+        for i, proven in enumerate(slopes)
+    ]
+    monkeypatch.setattr(rate_premise._Rate, "_slopes", lambda self, term: made)
+    monkeypatch.setattr(rate_premise._Rate, "_broken", lambda self, *parts: parts)
+    term = SimpleNamespace(zero=False, formula=formulas[formula])
+    found = rate.premise(term, "points")
+    proven = all(slopes)
+    if formula == "smooth" and not proven and not (jump or fast) and exceeded:
+        which = slopes.index(False)
+        assert found == ("rate of w_2", f"of {which}", made[which][1], "key", "there")
+        return
+    assert found.name == "rate of w_2"
+    if formula == "sign":
+        expected = ASSUMED if jump or fast else CONTRADICTED
+    elif formula == "tan":
+        expected = ASSUMED
+    else:
+        expected = PROVEN if proven else ASSUMED if jump or fast else CHECKED
+    assert found.status == expected
