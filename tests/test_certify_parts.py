@@ -307,7 +307,9 @@ def test_a_centred_stage_counts_where_it_is_smaller(monkeypatch, bound, taken):
     shifts = [(0.1234567, 3.0), (0.5, 4.0)]
     floats = SimpleNamespace(in_floats=lambda: "floats", at=lambda kappa: at.append(kappa) or kappa)
     monkeypatch.setattr(cascade, "CentredProblems", SimpleNamespace(of=lambda *_: floats))
-    monkeypatch.setattr(cascade, "best_shifts", lambda *a: shifts if a[1:] == (0.25, 2) else [])
+    monkeypatch.setattr(
+        cascade, "best_shifts", lambda *a: shifts if a[1:] == (0.25, 2, 2.0) else []
+    )
     monkeypatch.setattr(cascade, "best_proof", best)
     reached = SimpleNamespace(bound="2", alpha="0.25")
     found = cascade._centred_stage(None, SimpleNamespace(n=3), reached)
