@@ -58,6 +58,8 @@ def best_shifts(
     bound : float
         Of e_i without a centre.
     """
+    if bound <= 0:  # none is better
+        return []
     starts = []
     for kappa in (sign * shift for shift in SHIFTS for sign in (1, -1)):
         program, point = _solved(centred, kappa, alpha, target)
