@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -21,6 +22,10 @@ from certrack.systems.system import System
 
 #: Members whose formulas of time are scanned for bursts.
 SCANNED_MEMBERS = 4
+
+#: Steps are no longer than so many cells of a burst, each of which a polynomial of degree 7 fits;
+#: and if that makes more of them than this, members are run alone.
+CELLS_PER_LOOK, MAX_LOOKS = 8, 5_000
 
 #: Two times closer than this part of them are one: rounding may have separated them.
 TIME_ROUNDING = 1e-12
@@ -85,6 +90,8 @@ class EnsembleProblem:
             self.system.reference, switches, numbers or {}, settings.duration, self.tolerance
         )
         breaks = schedule.breaks(0.0, settings.duration)
+        looks = self._looks(switches, numbers or {})
+        breaks = np.union1d(breaks, looks) if len(looks) else breaks
         breaks = breaks[np.abs(breaks - settings.tail_start) > schedule.blur]
         edges = np.unique([0.0, settings.tail_start, settings.duration, *breaks])
         shared = [
@@ -93,12 +100,8 @@ class EnsembleProblem:
         ]
         return Segments(edges, np.array(shared))
 
-    def refuse_own_times(
-        self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float] | None = None
-    ) -> None:
-        """Refuse to compute members side by side that have switches or bursts of their own times.
-
-        Of bursts a few members tell.
+    def refuse_own_times(self, switches: TimeSwitches) -> None:
+        """Refuse to compute members side by side that each switch at times of their own.
 
         Raises
         ------
@@ -109,17 +112,33 @@ class EnsembleProblem:
                 "members switch at times of their own (a formula of t and of drawn numbers under "
                 "abs, sign, min or max), so each is run alone"
             )
+
+    def _looks(self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float]) -> np.ndarray:
+        """Times at which steps end so that they see short events of times that members draw.
+
+        They are as dense as the shortest events of a few members ask for, all over the run.
+
+        Raises
+        ------
+        MethodUnavailable
+            If they would be too many.
+        """
+        nodes, shortest = np.array([0.0, self.end]), self.end
         _, drawn = self.members.table(0, SCANNED_MEMBERS)
-        nodes = np.array([0.0, self.end])
         for formula in switches.formulas_of_members:
             for k in range(SCANNED_MEMBERS):
-                known = {**(numbers or {}), **{s: float(v[k]) for s, v in drawn.items()}}
+                known = {**numbers, **{s: float(v[k]) for s, v in drawn.items()}}
                 known = {s: known[s] for s in formula.free_symbols - {TIME}}
-                if len(scan(formula, nodes, known, {}, self.tolerance).marks):
-                    raise MethodUnavailable(
-                        "members have short events at times of their own (a formula of t and of "
-                        "drawn numbers), so each is run alone"
-                    )
+                found = scan(formula, nodes, known, {}, self.tolerance)
+                if len(found.marks):
+                    shortest = min(shortest, found.shortest)
+        count = math.ceil(self.end / (CELLS_PER_LOOK * shortest))
+        if count > MAX_LOOKS:
+            raise MethodUnavailable(
+                "members have very short events at times of their own (a formula of t and of "
+                "drawn numbers), so each is run alone"
+            )
+        return np.linspace(0.0, self.end, count + 1)[1:-1]
 
     @property
     def varying(self) -> dict[sympy.Symbol, np.ndarray]:

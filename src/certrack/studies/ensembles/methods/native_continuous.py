@@ -47,7 +47,7 @@ class NativeContinuous(Method):
         members = problem.members
         self._flow, switches = build_flow(members, problem.varying, any_numbers=True)
         values = dict(zip(members.loop.parameters, members.base.tolist(), strict=False))
-        problem.refuse_own_times(switches, values)
+        problem.refuse_own_times(switches)
         self._segments = problem.segments(switches, values)
         signals = shown_signals(self._flow, members.loop)
         numbers = [values[name] for name in self._flow.numbers]

@@ -93,7 +93,7 @@ class SampledMethod(Method):
         loop = general.with_numbers(fixed)
         loop, switches = switched_sampled_loop(loop, names, problem.varying)
         if not adjustable:
-            problem.refuse_own_times(switches, base)
+            problem.refuse_own_times(switches)
         self.segments = problem.segments(switches, base)
         of_members = (s for s in loop.parameters if s not in self.numbers)
         pieces = (IN_TAIL, *loop.pieces)
