@@ -25,7 +25,7 @@ SCANNED_MEMBERS = 4
 
 #: Steps are no longer than so many cells of a burst, each of which a polynomial of degree 7 fits;
 #: and if that makes more of them than this, members are run alone.
-CELLS_PER_LOOK, MAX_LOOKS = 8, 5_000
+CELLS_PER_STEP, MAX_EVENT_STEPS = 8, 5_000
 
 #: Two times closer than this part of them are one: rounding may have separated them.
 TIME_ROUNDING = 1e-12
@@ -90,8 +90,8 @@ class EnsembleProblem:
             self.system.reference, switches, numbers or {}, settings.duration, self.tolerance
         )
         breaks = schedule.breaks(0.0, settings.duration)
-        looks = self._looks(switches, numbers or {})
-        breaks = np.union1d(breaks, looks) if len(looks) else breaks
+        ends = self._ends_at_events(switches, numbers or {})
+        breaks = np.union1d(breaks, ends) if len(ends) else breaks
         breaks = breaks[np.abs(breaks - settings.tail_start) > schedule.blur]
         edges = np.unique([0.0, settings.tail_start, settings.duration, *breaks])
         shared = [
@@ -113,7 +113,9 @@ class EnsembleProblem:
                 "abs, sign, min or max), so each is run alone"
             )
 
-    def _looks(self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float]) -> np.ndarray:
+    def _ends_at_events(
+        self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float]
+    ) -> np.ndarray:
         """Times at which steps end so that they see short events of times that members draw.
 
         They are as dense as the shortest events of a few members ask for, all over the run.
@@ -132,8 +134,8 @@ class EnsembleProblem:
                 found = scan(formula, nodes, known, {}, self.tolerance)
                 if len(found.marks):
                     shortest = min(shortest, found.shortest)
-        count = math.ceil(self.end / (CELLS_PER_LOOK * shortest))
-        if count > MAX_LOOKS:
+        count = math.ceil(self.end / (CELLS_PER_STEP * shortest))
+        if count > MAX_EVENT_STEPS:
             raise MethodUnavailable(
                 "members have very short events at times of their own (a formula of t and of "
                 "drawn numbers), so each is run alone"
