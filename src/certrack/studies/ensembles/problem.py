@@ -131,9 +131,9 @@ class EnsembleProblem:
             for k in range(SCANNED_MEMBERS):
                 known = {**numbers, **{s: float(v[k]) for s, v in drawn.items()}}
                 known = {s: known[s] for s in formula.free_symbols - {TIME}}
-                found = scan(formula, nodes, known, {}, self.tolerance)
-                if len(found.marks):
-                    shortest = min(shortest, found.shortest)
+                events = scan(formula, nodes, known, {}, self.tolerance)
+                if len(events.marks):
+                    shortest = min(shortest, events.shortest)
         count = math.ceil(self.end / (CELLS_PER_STEP * shortest))
         if count > MAX_EVENT_STEPS:
             raise MethodUnavailable(
