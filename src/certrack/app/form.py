@@ -64,7 +64,7 @@ def form_of(text: str) -> list[dict[str, Any]]:
 
 
 def _fields(document: Any, table: str) -> Iterator[dict[str, Any]]:
-    entries = _table_of(document, table)
+    entries = table_at(document, table)
     kind = str(entries.get("kind", "")) if entries is not None else ""
     keys = dict(TABLES.get(f"{table}[{kind}]", TABLES.get(table, {})))
     for name, key in keys.items():
@@ -221,10 +221,9 @@ def _key_of(path: str, owner: Any) -> Key | None:
     return keys.get(name)
 
 
-def _table_of(document: Any, table: str) -> Any:
+def table_at(document: Any, path: str) -> Any:
+    """A table of the file, such as ``plant.ranges``; None if there is none."""
     owner = document
-    for name in filter(None, table.split(".")):
+    for name in filter(None, path.split(".")):
         owner = owner.get(name) if isinstance(owner, Mapping) else None
-        if owner is None:
-            return None
-    return owner
+    return owner if isinstance(owner, Mapping) else None

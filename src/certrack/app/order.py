@@ -6,10 +6,11 @@ nothing, or those of the last one where there is no such entry; formulas are lef
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
+from certrack.app.form import table_at
 from certrack.systems.keys import TABLES
 
 #: Which states the entries of a list belong to, by what its key says of its shape.
@@ -31,7 +32,7 @@ DAMPING = "row m holds k_m1 ... k_m,2m, m = 1 ... n"
 #: Lists of the truth's own states, where it has some: they are not those of the plant.
 OF_THE_TRUTH = ("rates", "x0")
 
-#: Entries of a new state that are not 0; a key that is not here has that of the last state.
+#: Entries of a new state that are not 0, and keys that have that of the last state.
 OF_A_NEW_STATE = {"chain": 1, "units": "", "p": float("inf"), "outputs": "0"}
 LIKE_THE_LAST = ("c", "K")
 
@@ -73,7 +74,7 @@ def with_states(text: str, names: Sequence[str]) -> str:
     if not before or not names or len(names) == len(before):
         return text
     sources = _sources(before, names)
-    by_truth = "states" in (_table_at(document, "truth") or ())
+    by_truth = "states" in (table_at(document, "truth") or ())
     for owner, name, shape in _lists(document):
         if by_truth and name in OF_THE_TRUTH:
             continue
@@ -81,7 +82,7 @@ def with_states(text: str, names: Sequence[str]) -> str:
         if change is not None and isinstance(owner[name], list):
             with suppress(IndexError, TypeError):
                 owner[name] = change(owner[name].unwrap())
-    law = _table_at(document, "law") or {}
+    law = table_at(document, "law") or {}
     if isinstance(law.get("feedforward"), int) and law["feedforward"] >= len(names):
         law["feedforward"] = len(names) - 1
     return tomlkit.dumps(document)
@@ -98,20 +99,12 @@ def _lists(document: Any) -> Iterator[tuple[Any, str, str]]:
     """Every list of the file with its table and its shape."""
     for table, keys in TABLES.items():
         path, _, kind = table.rstrip("]").partition("[")
-        owner = _table_at(document, path)
+        owner = table_at(document, path)
         if owner is None or (kind and owner.get("kind") != kind):
             continue
         for name, key in keys.items():
             if name in owner and key.shape:
                 yield owner, name, key.shape
-
-
-def _table_at(document: Any, path: str) -> Any:
-    """A table of the file; None if there is none."""
-    owner = document
-    for part in filter(None, path.split(".")):
-        owner = owner.get(part) if isinstance(owner, Mapping) else None
-    return owner if isinstance(owner, Mapping) else None
 
 
 def _change_of(
