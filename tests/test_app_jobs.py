@@ -165,7 +165,7 @@ def test_numbers_of_a_run_are_those_of_the_command_line(context):
     law = dataclasses.replace(certrack.load("example1").law, c=(1.25, 0.5))
     run = certrack.simulate(certrack.load("example1").replace(law=law))
     assert header["metrics"] == run.metrics.as_dict()
-    assert header["texts"] == metric_texts(run)
+    assert header["texts"] == metric_texts(run.metrics.as_dict())
     rows_of_table = [[k, run.metrics.as_dict()[k]] for k in METRIC_LABELS]
     printed = table("", ["", ""], rows_of_table)
     assert [row[1] for row in printed.rows] == list(header["texts"].values())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ def run_frame(
     times, rows = decimate(times, rows, pixels)
     first = float(times[0]) if len(times) else 0.0
     system = run.system
-    poles = system.controller.coordinates.poles
+    poles, metrics = system.controller.coordinates.poles, run.metrics.as_dict()
     header: dict[str, Any] = {
         "t0": first,
         "window": window,
@@ -55,8 +55,8 @@ def run_frame(
         "end": run.trajectory.end,
         "steps": len(run.trajectory.times) - 1,
         "sampled": system.implementation is not None,
-        "metrics": run.metrics.as_dict(),
-        "texts": metric_texts(run),
+        "metrics": metrics,
+        "texts": metric_texts(metrics),
         "poles": sorted([float(p.real), float(p.imag)] for p in poles),
         "notes": [*run.notes, *notes],
         "ms": round(1e3 * (time.perf_counter() - began), 2),
@@ -81,9 +81,8 @@ def curves(
     return t, [*x[: plant.n], x[0] - y_d, y_d, run.input_of(t, states), *z]
 
 
-def metric_texts(run: Run) -> dict[str, str]:
+def metric_texts(metrics: Mapping[str, float | None]) -> dict[str, str]:
     """Metrics as the command line's table prints them."""
-    metrics = run.metrics.as_dict()
     return {name: number_text(metrics[name]) for name in METRIC_LABELS}
 
 

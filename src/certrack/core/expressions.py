@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import sympy
@@ -37,6 +37,7 @@ MAX_NODES = 4_000
 MAX_POWER = 64  # magnitude of a numeric exponent
 MAX_ARGUMENTS = 8  # of min and max
 MAX_NAMES_SHOWN = 30  # of the known names in a message
+MAX_SYMBOLS = 4096  # that are kept: SymPy takes its time to make one
 MAX_INTEGER_BITS = 1000  # of an integer in the text; about MAX_MAGNITUDE
 MAX_MAGNITUDE = 1e300  # of any constant
 
@@ -111,6 +112,7 @@ class Expression:
         return f"Expression({self.text!r})"
 
 
+@lru_cache(maxsize=MAX_SYMBOLS)
 def symbol(name: str) -> sympy.Symbol:
     """The real symbol every part of certrack uses for `name`."""
     return sympy.Symbol(name, real=True)

@@ -7,6 +7,7 @@ is refused here, in one line.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import lru_cache
 from typing import Any
 
 import sympy
@@ -23,6 +24,9 @@ SUPPORTED = (
     sympy.Pow,
     Select,
 )
+
+#: Formulas whose normal forms are kept.
+MAX_KEPT = 1024
 
 
 def normal_form(key: str, what: str, formula: Any) -> sympy.Expr:
@@ -49,6 +53,12 @@ def normal_form(key: str, what: str, formula: Any) -> sympy.Expr:
         raise InputError(key, f"{what} must be a formula", formula) from None
     if not isinstance(expr, sympy.Expr):
         raise InputError(key, f"{what} must be a formula", formula)
+    return _normal_form(key, what, expr)
+
+
+@lru_cache(maxsize=MAX_KEPT)
+def _normal_form(key: str, what: str, expr: sympy.Expr) -> sympy.Expr:
+    """The same of a formula; a law that is made again for other gains has the same formulas."""
     expr = expr.replace(
         lambda part: part.is_Pow and not part.exp.is_number and part.base != sympy.E,
         lambda part: sympy.exp(part.exp * sympy.log(part.base)),

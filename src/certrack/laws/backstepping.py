@@ -28,6 +28,11 @@ from certrack.core.keys import set_fields
 LARGEST_COEFFICIENT = 1e150
 
 
+def no_damping(n: int) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]:
+    """The k and p of a lean design for n states: all inf."""
+    return tuple((math.inf,) * (2 * m) for m in range(1, n + 1)), (math.inf,) * (n - 1)
+
+
 @dataclass(frozen=True)
 class Gains:
     """Design parameters of the recursion.
@@ -56,15 +61,16 @@ class Gains:
     def __post_init__(self) -> None:
         c = checks.reals("law.c", self.c, None, "c_1 ... c_n", above=0)
         n = len(c)
-        k = tuple((math.inf,) * (2 * m) for m in range(1, n + 1)) if self.k is None else self.k
-        p = (math.inf,) * (n - 1) if self.p is None else self.p
-        rows = checks.sequence("law.k", k, n, "row m holds k_m1 ... k_m,2m, m = 1 ... n")
         limits: dict[str, Any] = {"above": 0, "infinite": True}
-        k = tuple(
-            checks.reals(f"law.k[{m}]", row, 2 * m + 2, f"k_{m + 1},j", **limits)
-            for m, row in enumerate(rows)
-        )
-        p = checks.reals("law.p", p, n - 1, "p_1 ... p_{n-1}", **limits)
+        k, p = no_damping(n)
+        if self.k is not None:
+            rows = checks.sequence("law.k", self.k, n, "row m holds k_m1 ... k_m,2m, m = 1 ... n")
+            k = tuple(
+                checks.reals(f"law.k[{m}]", row, 2 * m + 2, f"k_{m + 1},j", **limits)
+                for m, row in enumerate(rows)
+            )
+        if self.p is not None:
+            p = checks.reals("law.p", self.p, n - 1, "p_1 ... p_{n-1}", **limits)
         set_fields(self, c=c, k=k, p=p)
         if self.coupling is not None:
             set_fields(self, coupling=checks.real("law.coupling", self.coupling, above=0))

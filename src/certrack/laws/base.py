@@ -98,6 +98,15 @@ class Controller:
         """Symbols of all gains, in the order of :attr:`values`."""
         return tuple(s for group in self.signals.all_parameters.values() for s in group)
 
+    def values_of(self, names: Sequence[str]) -> np.ndarray:
+        """Values of the gains with these names, one after the other."""
+        groups = self.signals.all_parameters
+        if tuple(names) == tuple(groups):
+            return self.values
+        ends = np.cumsum([len(group) for group in groups.values()])
+        parts = dict(zip(groups, np.split(self.values, ends[:-1]), strict=True))
+        return np.concatenate([parts[name] for name in names])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Law(ABC):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
@@ -95,8 +95,7 @@ class Signals:
 
     def parameters(self, name: str, *shape: int) -> tuple[sympy.Symbol, ...]:
         """An array of gains as symbols, in row-major order."""
-        count = int(np.prod(shape))
-        symbols = tuple(symbol(f"law_{name}_{i}") for i in range(count))
+        symbols = tuple(symbol(f"law_{name}_{i}") for i in range(math.prod(shape)))
         self._parameters[name] = symbols
         return symbols
 

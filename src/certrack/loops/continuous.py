@@ -129,7 +129,7 @@ def parameter_values(loop: ClosedLoop, system: System) -> np.ndarray:
     return np.concatenate(
         [
             plant_values(loop.plant, system),
-            system.law.values(system.plant, loop.gain_names),
+            system.controller.values_of(loop.gain_names),
             [float(value) for value in system.plant.constant_values.values()],
             system.reference.parameter_values,
         ]

@@ -12,6 +12,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.core.once import once, without_results
 from certrack.model.coefficients import check_gain, check_within, refuse_varying_gain
 from certrack.model.motors import Motors, Supply
 from certrack.model.names import new_name
@@ -122,6 +123,9 @@ class Truth:
         constants = {name: number(f"truth.constants.{name}", value) for name, value in pairs}
         set_fields(self, constants=tuple(constants.items()))
 
+    def __getstate__(self) -> dict[str, object]:
+        return without_results(vars(self))
+
     def _check_plant_form(self) -> None:
         for name in ("rates", "outputs", "motors"):
             if getattr(self, name) is not None:
@@ -167,6 +171,7 @@ class Truth:
                 formulas = (_open_formula(f"{key}[{i}]", entry) for i, entry in enumerate(entries))
                 set_fields(self, **{name: tuple(formulas)})
 
+    @once
     def bound_to(self, plant: Plant) -> Truth:
         """This truth checked against `plant`, with its defaults filled in."""
         if self.states is not None:

@@ -140,6 +140,8 @@ class SymbolicReference:
 
     def check_finite(self, order: int, duration: float) -> None:
         """Refuse a formula that floats cannot evaluate during the run."""
+        if ("finite", order, duration) in self._cache:
+            return
         times = np.linspace(0.0, duration, CHECKED_IN_RUN)
         finite = np.isfinite(self.values(times, int(min(order, self.order)))).all(axis=0)
         if not finite.all():
@@ -147,6 +149,7 @@ class SymbolicReference:
             what = f"is not finite in floating point at t = {at:g}, which the run reaches"
             remedy = "Write it in another way, or shorten simulation.duration"
             raise InputError("reference.signal", what, self.signal.text, remedy)
+        self._cache["finite", order, duration] = True
 
     @property
     def smoothness(self) -> Smoothness:

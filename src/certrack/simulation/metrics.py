@@ -9,7 +9,7 @@ or a cubic through the samples has to do.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class Metrics:
 
     def as_dict(self) -> dict[str, float | None]:
         """For JSON: a number that does not exist is None."""
-        return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+        return {k: v if math.isfinite(v) else None for k, v in vars(self).items()}
 
 
 def settling_band(settings: Settings, reference: Reference) -> float:

@@ -124,11 +124,11 @@ def _best_head(
     problem: ErrorProblem, near: BestCascade | None
 ) -> tuple[Solution | None, RiccatiState | None]:
     """The solution for e_1: it has no estimates, so that its rate is that of a Riccati equation."""
-    program = SemidefiniteProgram(problem)
     quick = riccati_estimate(problem, None if near is None else near.state)
     if quick is not None:
-        return program.solve(quick.alpha), quick.state
-    return rate_nearby(program, None if near is None else near.head.alpha), None
+        return quick.solution, quick.state
+    nearby = None if near is None else near.head.alpha
+    return rate_nearby(SemidefiniteProgram(problem), nearby), None
 
 
 def _centred(

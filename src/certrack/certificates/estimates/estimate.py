@@ -158,7 +158,7 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
     near = None if warm is None or math.isnan(warm.alpha) else warm.alpha
     bounds: dict[str, float] = {}
     shares: dict[str, dict[str, float]] = {}
-    state = None
+    quick = None
     if problem.adaptation is None:
         peak = peak_estimate(in_plant_coordinates(problem), gradient=False)
         if math.isfinite(peak.bound):
@@ -166,13 +166,9 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
             parts = zip(causes(problem), peak.shares.tolist(), strict=True)
             shares["peak"] = {name: share for name, share in parts if share}
         quick = riccati_estimate(problem, None if warm is None else warm.state)
-        if quick is not None:
-            near, state = quick.alpha, quick.state
-    program = SemidefiniteProgram(problem)
-    if state is not None and near is not None:
-        solution = program.solve(near)
-    else:
-        solution = rate_nearby(program, near)
+    solution = (
+        rate_nearby(SemidefiniteProgram(problem), near) if quick is None else quick.solution
+    )
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)
@@ -192,7 +188,7 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
         shares.get(method, {}),
         None if solution is None else _tube_of(system, problem, solution),
         math.nan if solution is None else solution.alpha,
-        state,
+        None if quick is None else quick.state,
         cascade,
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from certrack.certificates.estimates.loop_data import DataGradient
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.search.riccati import RiccatiState, riccati_optimum
+from certrack.certificates.semidefinite import Solution
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,15 @@ class RiccatiEstimate:
     gradient : DataGradient
         Of the bound.
     state : RiccatiState
+    solution : Solution
+        Of the semidefinite program, that has the bound.
     """
 
     bound: float
     alpha: float
     gradient: DataGradient
     state: RiccatiState
+    solution: Solution
 
 
 def riccati_estimate(
@@ -48,4 +52,4 @@ def riccati_estimate(
     bound, time, sizes = optimum.bound, optimum.state.scaling.time, optimum.state.scaling.sizes
     ratio = time * sizes[None, :] / sizes[:, None]
     gradient = DataGradient(bound / 2 * by_M * ratio, bound / 2 * by_Uy * time / sizes[:, None])
-    return RiccatiEstimate(bound, optimum.alpha, gradient, optimum.state)
+    return RiccatiEstimate(bound, optimum.alpha, gradient, optimum.state, optimum.solution)

@@ -25,7 +25,7 @@ COLD_SHARES = (0.35, 0.1, 0.03, 0.005)
 LOWER, LOWERINGS = 0.2, 9
 
 #: By how much the logarithm of bound^2 may be above the lowest, cold and warm.
-COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-7
+COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-9
 
 #: A search that ended, at the edge of what exists or after all its steps, further above is none.
 NOT_CONVERGED = 1e-6
@@ -82,12 +82,18 @@ class RiccatiOptimum:
         """Its decay rate, 1/s."""
         return float(math.exp(self.state.logarithms[-1]) / self.state.scaling.time)
 
-    def solution(self, strictness: float, largest_room: float) -> Solution | None:
+    def strict_solution(self, strictness: float, largest_room: float) -> Solution | None:
         """A point of the semidefinite program, inside at this part of the cost; or None."""
-        scaling, target = self.state.scaling, self.equation.target
         X = self.equation.strict_solution(self.state.logarithms, strictness, largest_room)
-        if X is None:
-            return None
+        return None if X is None else self._solution(X)
+
+    @property
+    def solution(self) -> Solution:
+        """The point of the semidefinite program with this bound: at the edge of what is allowed."""
+        return self._solution(self.point.X)
+
+    def _solution(self, X: np.ndarray) -> Solution:
+        scaling, target = self.state.scaling, self.equation.target
         P, unit = np.linalg.inv(X), float(X[target, target])
         entries = upper_entries(self.problem.n)
         scaled_P = np.array([P[i, j] + P[j, i] for i, j in entries]) * (unit / 2)
