@@ -9,7 +9,9 @@ was computed for an earlier one is not sent.
 from __future__ import annotations
 
 import itertools
+import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +20,8 @@ from certrack.app.messages import Export, FormEdit, GainMove, NewText, Open, Sta
 from certrack.app.outbox import QUEUE, Outbox
 from certrack.app.workspace import TextFile
 
-#: Without a move for so long, s, the exact bound and the run of the drive are computed; the proof
-#: by the default effort follows after another pause.
+#: Without a move for so long after its answer, s, the exact bound and the run of the drive are
+#: computed; the proof by the default effort follows after another pause.
 PAUSE, REFINING_PAUSE = 0.12, 0.4
 
 #: Jobs that read a text, and those of long computations.
@@ -101,14 +103,21 @@ class Session:
         seen = before is not None and (before.view, before.window) == (move.view, move.window)
         self._post("run", sampled=False)
         if changed:
-            self._post("exact", effort="fast", after=PAUSE)
+            self._post("exact", effort="fast", after=math.inf)
         if self.base.drive and (changed or not seen):
-            self._post("sampled", do="run", sampled=True, after=PAUSE)
+            self._post("sampled", do="run", sampled=True, after=math.inf)
         if move.resting:
             self._post("text")
             if move.law:
                 self._post("law")
             self._end_pause()
+
+    def _begin_pause(self, job: Mapping[str, Any]) -> None:
+        """The newest move has its answer: before, a page that waits for it may be moving still."""
+        if job["do"] == "run" and not job["sampled"] and job["design"] == self.design:
+            for kind in ("exact", "sampled"):
+                if self._due.get(kind) == math.inf:
+                    self._due[kind] = time.monotonic() + PAUSE
 
     def _end_pause(self) -> None:
         """The gesture is over: what waits for a pause begins; a refined proof comes later still."""
@@ -182,6 +191,7 @@ class Session:
         """The last frame of a job."""
         if self.outdated(job):
             return
+        self._begin_pause(job)
         prefix = frame_prefix(frame)
         if prefix.kind is FrameKind.SYSTEM:
             self._described(job, frame)
@@ -205,6 +215,7 @@ class Session:
             self.note("A worker stopped and was started again.")
             self._again(job)
             return
+        self._begin_pause(job)
         if timed_out:
             reason = f"This took longer than {seconds:g} s and was given up."
         elif job["do"] in LONG:
