@@ -18,7 +18,7 @@ from certrack.app.frames import (
 )
 from certrack.app.messages import MAX_MESSAGE, MAX_TEXT_BYTES, GainMove, parse_message
 from certrack.app.outbox import QUEUE
-from certrack.app.session import Session
+from certrack.app.session import PAUSE, Session
 from certrack.core.errors import InputError
 
 SET = {
@@ -138,6 +138,37 @@ def test_where_the_gesture_ends_the_proof_begins_and_is_made_once():
     session.moved(moved(2, view=1))
     assert session.next_job("exact", math.inf) is None
     assert [session.next_job("bound", math.inf)["do"] for _ in range(2)] == ["text", "run"]
+
+
+def test_a_page_that_waits_for_an_answer_is_not_at_rest():
+    """However long it waits: where the machine is busy, proofs would take what is left of it."""
+    session = opened_session(drive=True)
+    session.moved(moved(2))
+    first = session.next_job("run", 1e9)
+    session.moved(moved(3))
+    assert session.next_job("exact", 1e9) is None
+    session.answered(first, pack_frame(FrameKind.RUN, {}, design=2))
+    session.next_job("bound", 1e9)
+    assert session.next_job("exact", 1e9) is None, "the newest move has no answer yet"
+    newest = session.next_job("run", 1e9)
+    session.answered(newest, pack_frame(FrameKind.RUN, {}, design=3))
+    now = time.monotonic()
+    assert session.next_job("exact", now) is None
+    assert session.next_job("exact", now + PAUSE)["design"] == 3
+    jobs = [session.next_job("bound", now + PAUSE)["do"] for _ in range(2)]
+    assert jobs == ["bound", "run"]
+
+
+@pytest.mark.parametrize("timed_out", [True, False])
+def test_a_move_whose_run_is_given_up_has_its_proof_all_the_same(timed_out):
+    session = opened_session()
+    session.moved(moved(2))
+    work = session.next_job("run", 1e9)
+    if not timed_out:
+        session.crashed(work, timed_out=False, seconds=20)
+        assert session.next_job("exact", 1e9) is None and session.next_job("run", 1e9) == work
+    session.crashed(work, timed_out=timed_out, seconds=20)
+    assert session.next_job("exact", time.monotonic() + PAUSE)["design"] == 2
 
 
 def test_formulas_are_computed_only_where_the_page_shows_them():

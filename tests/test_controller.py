@@ -10,6 +10,16 @@ from certrack.export.golden_vectors import reference_answers
 from certrack.export.program import controller_program
 
 
+def test_values_are_found_by_name():
+    system = certrack.load("example1")
+    controller = system.controller
+    names = list(controller.signals.all_parameters)
+    assert controller.values_of(names) is controller.values
+    for order in (names[::-1], names[2:5], [names[-1], names[0]]):
+        expected = system.law.values(system.plant, order)
+        assert controller.values_of(order).tolist() == expected.tolist()
+
+
 def test_a_drive_begins_without_a_difference():
     """At the first sample there is no position before, so no speed, wherever the axis is."""
     system = sampled("example1", velocity=("x2",), velocity_filter=0.002)

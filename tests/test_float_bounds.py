@@ -8,8 +8,13 @@ import pytest
 from test_tuning import agree, random_system
 
 import certrack
+from certrack.certificates.arithmetic import decimal
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.riccati import riccati_estimate
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.scaling import Scaling
+from certrack.certificates.search import riccati as search
+from certrack.certificates.search.riccati import riccati_optimum
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 
 
@@ -20,6 +25,50 @@ def test_riccati_equation_gives_the_program_s_bound(n):
     bound = best_solution(SemidefiniteProgram(problem)).bound
     assert found.bound == pytest.approx(bound, rel=1e-3)
     assert found.bound <= bound * (1 + 1e-5)  # the program's alpha is only searched to 2e-3
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_the_riccati_equation_solves_the_program(n):
+    """Its P and multipliers keep every condition, and no program does better at that rate."""
+    problem = PlainLoop.of(random_system(8, n)).problem
+    found = riccati_estimate(problem)
+    s = found.solution
+    assert s.bound == pytest.approx(found.bound, rel=1e-9) and s.alpha == found.alpha
+    assert min(*s.lam, *s.nu, *s.k, math.inf) > 0
+    scaling = Scaling.of(problem)
+    sizes = np.concatenate([scaling.sizes, np.ones(sum(problem.counts))])
+    Q = problem.inequality(s.P, s.lam, s.nu, s.k, s.alpha)
+    Q, P = Q * np.outer(sizes, sizes), s.P * np.outer(scaling.sizes, scaling.sizes)
+    assert np.linalg.eigvalsh(Q).max() < 1e-7 * np.abs(np.linalg.eigvalsh(Q)).max()
+    largest = np.linalg.eigvalsh(P).max()
+    P[0, 0] -= scaling.sizes[0] ** 2
+    assert np.linalg.eigvalsh(P).min() > -1e-7 * largest
+    program = SemidefiniteProgram(problem).solve(found.alpha)
+    assert program is None or s.bound <= program.bound * (1 + 1e-6)
+
+
+def test_a_warm_start_goes_a_long_way(monkeypatch):
+    """A pole at half of what it was; where nothing near has an X, the start is a cold one."""
+    chain = certrack.System(
+        plant=certrack.Plant(
+            states=["x1", "x2", "x3", "x4"],
+            chain=[1, 1, 1],
+            gain_sign=1,
+            input_gain=2,
+            uncertainty=certrack.Uncertainty([0, 0, 0, 1], [0, 0, 0, 1e-5], [0, 0, 0, 0.1]),
+        ),
+        law=certrack.Robust(c=(3, 3, 3, 3), feedforward=1),
+        reference=certrack.SymbolicReference("0.2*cos(t)"),
+        truth=certrack.Truth(2),
+        settings=certrack.Settings([0.5, 0, 0, 0], 20),
+    )
+    state = riccati_estimate(error_problem(chain, decimal)).state
+    slower = error_problem(chain.replace(law=replace(chain.law, c=(1.5, 3, 3, 3))), decimal)
+    warm, cold = riccati_optimum(slower, state), riccati_optimum(slower)
+    assert warm.bound == pytest.approx(cold.bound, rel=1e-6)
+    monkeypatch.setattr(search, "WARM_SHARES", search.WARM_SHARES[:1])
+    assert riccati_optimum(slower, state) is None
+    assert riccati_estimate(slower, state).bound == cold.bound
 
 
 @pytest.mark.parametrize("n", range(1, 7))

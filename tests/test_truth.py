@@ -1,6 +1,7 @@
 """A simulated plant with states of its own: other coordinates, more states, kinks, mismatch."""
 
 import json
+import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -188,6 +189,17 @@ def test_dataset_has_the_states_of_the_truth(tmp_path):
         again = certrack.loads(data.attrs["system"])
     assert again == run.system
     assert "truth" not in simulate(certrack.load("example1")).dataset(11)
+
+
+def test_a_truth_is_bound_to_a_plant_once():
+    system = certrack.load("dual-motor-lean")
+    stiffer, stiffest = (system.replace(law=replace(system.law, c=(c,) * 4)) for c in (12.0, 13.0))
+    assert stiffer.truth is stiffest.truth and stiffer.truth == system.truth
+    plant = replace(system.plant, gain_sign=-1, input_gain=None, input_gain_range=None)
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"truth\.input_gain.*sign"):
+            system.truth.bound_to(plant)
+    assert "_results" not in vars(pickle.loads(pickle.dumps(stiffer.truth)))
 
 
 def test_other_constants_do_not_recompile(monkeypatch):

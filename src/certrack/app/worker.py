@@ -30,7 +30,7 @@ ENVELOPE = struct.Struct("<IIB")
 MAX_MEMORY, MAX_TASK_SECONDS = 4 << 30, 3600
 
 #: How much later than the live ones the other roles are served.
-NICENESS = {"run": 0, "bound": 2, "exact": 5, "task": 10}
+NICENESS = {"run": 0, "bound": 4, "exact": 6, "task": 10}
 
 #: The signal that a child gets where its parent dies, on Linux.
 PR_SET_PDEATHSIG = 1

@@ -166,9 +166,7 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
             parts = zip(causes(problem), peak.shares.tolist(), strict=True)
             shares["peak"] = {name: share for name, share in parts if share}
         quick = riccati_estimate(problem, None if warm is None else warm.state)
-    solution = (
-        rate_nearby(SemidefiniteProgram(problem), near) if quick is None else quick.solution
-    )
+    solution = rate_nearby(SemidefiniteProgram(problem), near) if quick is None else quick.solution
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)

@@ -124,7 +124,7 @@ def _kernels(M: np.ndarray, B: np.ndarray, step: float, slowest: float) -> _Kern
         doubled = [start[:, None, :]]
         for i in range(BLOCK_POWER):
             last = doubled[-1]
-            moved = np.tensordot(powers[block + i], last, axes=(1, 0))
+            moved = (powers[block + i] @ last.reshape(len(M), -1)).reshape(last.shape)
             doubled.append(np.concatenate([last, moved], axis=1))
         stacks.append(doubled)
         start = powers[block + BLOCK_POWER] @ start

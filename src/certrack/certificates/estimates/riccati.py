@@ -46,6 +46,8 @@ def riccati_estimate(
         Of a problem with the same structure, nearby.
     """
     optimum = riccati_optimum(problem, warm)
+    if optimum is None and warm is not None:  # it was not so near
+        optimum = riccati_optimum(problem)
     if optimum is None:
         return None
     by_M, by_Uy = optimum.equation.by_data(optimum.point)

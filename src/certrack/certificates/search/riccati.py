@@ -30,8 +30,11 @@ COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-9
 #: A search that ended, at the edge of what exists or after all its steps, further above is none.
 NOT_CONVERGED = 1e-6
 
-#: A warm start that has no X gets a smaller alpha, down to this part of it.
-ALPHA_SHARES = (1.0, 0.7, 0.4, 0.2, 0.05)
+#: A warm start that has no X gets smaller lam, and then a smaller alpha: these parts of both.
+WARM_SHARES = ((1.0, 1.0), (0.4, 1.0), (0.4, 0.7), (0.2, 0.4), (0.05, 0.2), (0.01, 0.05))
+
+#: Where a search begins: logarithms, and the point there.
+Start = tuple[np.ndarray, RiccatiPoint]
 
 
 @dataclass(frozen=True)
@@ -131,13 +134,14 @@ def riccati_optimum(
     scaled = scaling.applied(problem)
     equation = RiccatiEquation(scaled, target)
     if warm is None:
-        start = _cold_start(equation, fastest_rate(scaled))
-        lowest = None if start is None else quasi_newton(equation.at, start, COLD_ACCURACY)
+        start, accuracy, inverse = _cold_start(equation, fastest_rate(scaled)), COLD_ACCURACY, None
     else:
-        start = _existing(equation, warm.logarithms)
-        lowest = (
-            None if start is None else quasi_newton(equation.at, start, WARM_ACCURACY, warm.inverse)
-        )
+        start, accuracy = _existing(equation, warm.logarithms), WARM_ACCURACY
+        inverse = warm.inverse
+    if start is None:
+        return None
+    logarithms, point = start
+    lowest = quasi_newton(equation.at, logarithms, accuracy, inverse, here=point)
     if lowest is None or lowest.left > NOT_CONVERGED:
         return None
     assert isinstance(lowest.point, RiccatiPoint)
@@ -145,17 +149,20 @@ def riccati_optimum(
     return RiccatiOptimum(problem, equation, lowest.point, state)
 
 
-def _existing(equation: RiccatiEquation, begin: np.ndarray) -> np.ndarray | None:
-    """The point with the largest alpha for which there is an X."""
-    for share in ALPHA_SHARES:
-        start = begin.copy()
-        start[-1] += math.log(share)
-        if equation.at(start) is not None:
-            return start
+def _existing(equation: RiccatiEquation, begin: np.ndarray) -> Start | None:
+    """The first point near these logarithms for which there is an X."""
+    na = equation.counts[0]
+    for of_lam, of_alpha in WARM_SHARES:
+        logarithms = begin.copy()
+        logarithms[:na] += math.log(of_lam)
+        logarithms[-1] += math.log(of_alpha)
+        point = equation.at(logarithms)
+        if point is not None:
+            return logarithms, point
     return None
 
 
-def _cold_start(equation: RiccatiEquation, fastest: float) -> np.ndarray | None:
+def _cold_start(equation: RiccatiEquation, fastest: float) -> Start | None:
     """Multipliers and a rate for which there is an X; None if there are none.
 
     With nu and k of 1 and small lam the a-inputs count only with themselves; from where theirs
@@ -171,9 +178,10 @@ def _cold_start(equation: RiccatiEquation, fastest: float) -> np.ndarray | None:
             return None
         for _ in range(LOWERINGS if na else 1):
             k = 1 + lam @ equation.reference_weights
-            start = np.log(np.concatenate([lam, np.ones(nb), k, [alpha]]))
-            if equation.at(start) is not None:
-                return start
+            logarithms = np.log(np.concatenate([lam, np.ones(nb), k, [alpha]]))
+            point = equation.at(logarithms)
+            if point is not None:
+                return logarithms, point
             lam = lam * LOWER
     return None
 
