@@ -17,6 +17,9 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
 
+# Each of the two workers has a core, and the matrices are small.
+test slow: export OMP_NUM_THREADS = 1
+
 test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

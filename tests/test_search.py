@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,8 +31,8 @@ from certrack.certificates.search.shift import best_shifts
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.core import once as once_module
 from certrack.core.blas import one_blas_thread
+from certrack.core.errors import InputError
 from certrack.core.once import once
-from certrack.studies.margins import margins
 
 STARTER = Path(__file__).parent / "data" / "starter.toml"
 
@@ -272,7 +273,38 @@ def test_one_thread_of_the_blas_and_then_as_before():
     before = counts()
     assert set(one_blas_thread(counts)()) == {1}
     assert counts() == before
-    assert hasattr(margins, "__wrapped__")
+    for computation in (certrack.certify, certrack.estimate, certrack.tune, certrack.falsify):
+        assert hasattr(computation, "__wrapped__")
+
+
+def test_callers_that_overlap_leave_the_blas_as_it_was():
+    """The second one enters within the first and leaves after it, or fails."""
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    def counts():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    entered, leave, seen = threading.Event(), threading.Event(), []
+
+    @one_blas_thread
+    def first():
+        entered.set()
+        leave.wait(60)
+
+    @one_blas_thread
+    def second():
+        leave.set()
+        thread.join(60)
+        seen.append(counts())
+        raise InputError("x", "is refused")
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        thread = threading.Thread(target=first)
+        thread.start()
+        entered.wait(60)
+        with pytest.raises(InputError):
+            second()
+        assert seen == [{1}] and counts() == {2}
 
 
 def test_unsolved_programs_leave_the_grid(monkeypatch):

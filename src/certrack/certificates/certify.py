@@ -54,6 +54,7 @@ from certrack.certificates.scope import has_ranges
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
@@ -219,6 +220,7 @@ class Certificates(ShownInNotebooks):
         return () if self.proof is None else (self.proof,)
 
 
+@one_blas_thread
 def certify(
     system: System,
     effort: str = "default",

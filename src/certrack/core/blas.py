@@ -8,9 +8,10 @@ members of an ensemble, in threads or processes of their own.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from threading import Lock
+from typing import Any, ParamSpec, TypeVar
 
 _LimitedArguments = ParamSpec("_LimitedArguments")
 _LimitedResult = TypeVar("_LimitedResult")
@@ -34,9 +35,52 @@ def one_blas_thread(
     def limited(
         *arguments: _LimitedArguments.args, **named: _LimitedArguments.kwargs
     ) -> _LimitedResult:
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(limits=1, user_api="blas"):
+        with _LIMIT:
             return function(*arguments, **named)
 
     return limited
+
+
+class _ThreadLimit:
+    """One thread from where the first caller enters until the last one leaves.
+
+    The number is the process's. Callers that overlap would each take the other's for what was
+    there before, and leave it behind.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = Lock(), 0, list[int]()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._before = [library.num_threads for library in _libraries()]
+                _set_threads([1] * len(self._before))
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                _set_threads(self._before)
+
+
+_LIMIT = _ThreadLimit()
+
+
+@cache
+def _libraries() -> tuple[Any, ...]:
+    """The BLAS of NumPy and that of SciPy: to look for them takes two milliseconds."""
+    import scipy.linalg  # noqa: F401 - loads its own
+    from threadpoolctl import ThreadpoolController
+
+    return tuple(ThreadpoolController().select(user_api="blas").lib_controllers)
+
+
+def _set_threads(counts: Sequence[int]) -> None:
+    for library, count in zip(_libraries(), counts, strict=True):
+        # threadpoolctl heeds one thread at a time, and the last to leave may be another one
+        release = getattr(library, "clear_controlling_thread", lambda **_: None)
+        release(force=True)
+        library.set_num_threads(count)
+        release(force=True)

@@ -25,8 +25,8 @@ SUPPORTED = (
     Select,
 )
 
-#: Formulas whose normal forms are kept.
-MAX_KEPT = 1024
+#: Formulas whose normal forms are remembered.
+MAX_NORMAL_FORMS = 1024
 
 
 def normal_form(key: str, what: str, formula: Any) -> sympy.Expr:
@@ -56,7 +56,7 @@ def normal_form(key: str, what: str, formula: Any) -> sympy.Expr:
     return _normal_form(key, what, expr)
 
 
-@lru_cache(maxsize=MAX_KEPT)
+@lru_cache(maxsize=MAX_NORMAL_FORMS)
 def _normal_form(key: str, what: str, expr: sympy.Expr) -> sympy.Expr:
     """The same of a formula; a law that is made again for other gains has the same formulas."""
     expr = expr.replace(

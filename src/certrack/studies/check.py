@@ -15,6 +15,7 @@ from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import SEED, premises
 from certrack.certificates.sampling import random_points
+from certrack.core.blas import one_blas_thread
 from certrack.core.rounding import rounded_down
 from certrack.laws.leakage import leak_matrix
 from certrack.loops.stability import linear_loop
@@ -123,6 +124,7 @@ class Check:
         }
 
 
+@one_blas_thread
 def check(system: System) -> Check:
     """Look at `system` without a solver: premises, poles and period, quanta, units.
 

@@ -25,6 +25,7 @@ from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 
@@ -147,6 +148,7 @@ class Drift:
         }
 
 
+@one_blas_thread
 def drift(system: System, *, error: float | None = None, progress: Progress = silent) -> Drift:
     """Search how far each constant with a range may drift, one by one and together.
 

@@ -14,6 +14,7 @@ from functools import partial
 from certrack.certificates.certify import EFFORTS
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import Cancelled
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
@@ -66,6 +67,7 @@ ONE_PROOF = (
 EASED = 0.1
 
 
+@one_blas_thread
 def tune(
     system: System,
     *,

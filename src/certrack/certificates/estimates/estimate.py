@@ -22,6 +22,7 @@ from certrack.certificates.ranges.vertices import VertexProgram
 from certrack.certificates.scope import has_ranges
 from certrack.certificates.search.riccati import RiccatiState
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.systems.system import System, require_system
 
@@ -91,6 +92,7 @@ class BoundEstimate:
         return f"BoundEstimate({self.method}: limsup |e_1| about {self.bound:.4g}, not proven)"
 
 
+@one_blas_thread
 def estimate(system: System, *, warm: BoundEstimate | None = None) -> BoundEstimate:
     """Estimate the certified error, many times faster than it is proven.
 

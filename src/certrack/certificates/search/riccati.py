@@ -34,7 +34,7 @@ NOT_CONVERGED = 1e-6
 WARM_SHARES = ((1.0, 1.0), (0.4, 1.0), (0.4, 0.7), (0.2, 0.4), (0.05, 0.2), (0.01, 0.05))
 
 #: Where a search begins: logarithms, and the point there.
-Start = tuple[np.ndarray, RiccatiPoint]
+SearchStart = tuple[np.ndarray, RiccatiPoint]
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def riccati_optimum(
     return RiccatiOptimum(problem, equation, lowest.point, state)
 
 
-def _existing(equation: RiccatiEquation, begin: np.ndarray) -> Start | None:
+def _existing(equation: RiccatiEquation, begin: np.ndarray) -> SearchStart | None:
     """The first point near these logarithms for which there is an X."""
     na = equation.counts[0]
     for of_lam, of_alpha in WARM_SHARES:
@@ -162,7 +162,7 @@ def _existing(equation: RiccatiEquation, begin: np.ndarray) -> Start | None:
     return None
 
 
-def _cold_start(equation: RiccatiEquation, fastest: float) -> Start | None:
+def _cold_start(equation: RiccatiEquation, fastest: float) -> SearchStart | None:
     """Multipliers and a rate for which there is an X; None if there are none.
 
     With nu and k of 1 and small lam the a-inputs count only with themselves; from where theirs

@@ -22,6 +22,7 @@ from certrack.certificates.methods import METHOD_STEPS, Methods, every_certifica
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
@@ -134,6 +135,7 @@ def falsify(
 ) -> Falsification | OutputFalsification: ...
 
 
+@one_blas_thread
 def falsify(
     system: System,
     *,

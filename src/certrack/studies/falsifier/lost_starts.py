@@ -18,6 +18,7 @@ from itertools import product
 import numpy as np
 
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome
@@ -112,6 +113,7 @@ class LostStarts:
     gone: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
+@one_blas_thread
 def lost_starts(
     system: System,
     box: Sequence[tuple[float, float]] | None = None,

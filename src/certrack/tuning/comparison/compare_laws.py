@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.keys import keys_of
 from certrack.core.progress import Progress, silent
@@ -203,6 +204,7 @@ class LawComparison:
         }
 
 
+@one_blas_thread
 def compare_laws(
     system: System,
     laws: Sequence[str],
