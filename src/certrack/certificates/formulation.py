@@ -19,7 +19,7 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scope import refuse, refuse_formulas
 from certrack.certificates.stated import stated_error_system
 from certrack.core.once import once
-from certrack.laws.backstepping import ErrorCoordinates, carry_out
+from certrack.laws.backstepping import ErrorCoordinates, carry_out, no_damping
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.error_system import KnownParameters
 from certrack.laws.integral import longer_chain, of_the_plant
@@ -193,7 +193,7 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
     if gains.integral is not None:
         g, b, c = longer_chain(g, b, c, number(gains.integral))
         floats = np.append(1.0, floats[0]), np.append(gains.integral, floats[1])
-        rows, damping = tuple((np.inf,) * (2 * m) for m in range(1, n + 2)), (np.inf,) * n
+        rows, damping = no_damping(n + 1)
         q += 1
     if gains.coupling is not None:
         design = balanced(g, b, c, q, balancing_weights(*floats, gains.coupling), number)

@@ -6,7 +6,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
-from certrack.laws.backstepping import ErrorCoordinates, Gains, carry_out, is_moderate
+from certrack.laws.backstepping import ErrorCoordinates, Gains, carry_out, is_moderate, no_damping
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.integral import longer_chain, of_the_plant
 from certrack.model.plant import MAX_ORDER
@@ -49,7 +49,7 @@ def recursion(
     k, p = gains.k, gains.p
     if gains.integral is not None:
         g, b, c = longer_chain(g, b, c, gains.integral)
-        k, p, q = tuple((np.inf,) * (2 * m) for m in range(1, n + 2)), (np.inf,) * n, q + 1
+        (k, p), q = no_damping(n + 1), q + 1
     with np.errstate(over="ignore", invalid="ignore"):
         if gains.coupling is None:
             weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in k]

@@ -134,10 +134,11 @@ def riccati_optimum(
     scaled = scaling.applied(problem)
     equation = RiccatiEquation(scaled, target)
     if warm is None:
-        start, accuracy, inverse = _cold_start(equation, fastest_rate(scaled)), COLD_ACCURACY, None
+        start = _cold_start(equation, fastest_rate(scaled))
+        accuracy, inverse = COLD_ACCURACY, None
     else:
-        start, accuracy = _existing(equation, warm.logarithms), WARM_ACCURACY
-        inverse = warm.inverse
+        start = _existing(equation, warm.logarithms)
+        accuracy, inverse = WARM_ACCURACY, warm.inverse
     if start is None:
         return None
     logarithms, point = start
