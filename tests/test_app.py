@@ -159,6 +159,33 @@ def test_a_page_that_waits_for_an_answer_is_not_at_rest():
     assert jobs == ["bound", "run"]
 
 
+def test_a_drive_waits_for_the_answer_to_the_window_that_is_seen():
+    session = opened_session(drive=True)
+    session.moved(moved(2))
+    first = session.next_job("run", 1e9)
+    session.moved(moved(2, view=5))
+    session.answered(first, pack_frame(FrameKind.RUN, {}, design=2))
+    assert session.next_job("exact", 1e9)["design"] == 2, "a proof has no window"
+    assert (
+        session.next_job("bound", 1e9)["do"] == "bound" and session.next_job("bound", 1e9) is None
+    )
+    second = session.next_job("run", 1e9)
+    session.answered(second, pack_frame(FrameKind.RUN, {}, design=2, view=5))
+    jobs = [session.next_job("bound", 1e9) for _ in range(2)]
+    assert [(job["do"], job["view"]) for job in jobs] == [("bound", 5), ("run", 5)]
+
+
+def test_a_run_of_the_drive_that_crashed_does_not_hasten_the_next_one():
+    session = opened_session(drive=True)
+    session.moved(moved(2, resting=True))
+    session.next_job("bound", 1e9)
+    old = session.next_job("bound", 1e9)
+    assert old["sampled"]
+    session.moved(moved(3))
+    session.crashed(old, timed_out=False, seconds=20)
+    assert session.next_job("bound", 1e9) is None
+
+
 @pytest.mark.parametrize("timed_out", [True, False])
 def test_a_move_whose_run_is_given_up_has_its_proof_all_the_same(timed_out):
     session = opened_session()

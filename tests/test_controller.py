@@ -1,5 +1,7 @@
 """What a sampled controller remembers from one sample to the next."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from exported import sampled
@@ -18,6 +20,32 @@ def test_values_are_found_by_name():
     for order in (names[::-1], names[2:5], [names[-1], names[0]]):
         expected = system.law.values(system.plant, order)
         assert controller.values_of(order).tolist() == expected.tolist()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _WithMargin(certrack.Robust):
+    """Its error system asks for a gain that its equations do not have."""
+
+    kind = "with-margin"
+
+    def error_system(self, s):
+        s.parameter("margin")
+        return super().error_system(s)
+
+    def parameters(self, plant):
+        return {**super().parameters(plant), "margin": 7.0}
+
+
+def test_gains_that_are_asked_for_later_shift_no_others():
+    plain = certrack.load("dual-motor-lean")
+    gains = {key: getattr(plain.law, key) for key in ("c", "feedforward")}
+    system = plain.replace(law=_WithMargin(**gains))
+    expected = certrack.simulate(system.with_settings(duration=2)).metrics
+    certrack.design(system)
+    later = certrack.Simulator(system).run(system.with_settings(duration=2)).metrics
+    assert later == expected
+    names = [*system.controller.signals.all_parameters]
+    assert "margin" in names and system.controller.values_of(names)[-1] == 7.0
 
 
 def test_a_drive_begins_without_a_difference():

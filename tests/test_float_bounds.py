@@ -15,6 +15,7 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.scaling import Scaling
 from certrack.certificates.search import riccati as search
 from certrack.certificates.search.riccati import riccati_optimum
+from certrack.certificates.search.riccati_equation import RiccatiEquation
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 
 
@@ -33,7 +34,7 @@ def test_the_riccati_equation_solves_the_program(n):
     problem = PlainLoop.of(random_system(8, n)).problem
     found = riccati_estimate(problem)
     s = found.solution
-    assert s.bound == pytest.approx(found.bound, rel=1e-9) and s.alpha == found.alpha
+    assert s.bound == pytest.approx(found.bound, rel=1e-6) and s.alpha == found.alpha
     assert min(*s.lam, *s.nu, *s.k, math.inf) > 0
     scaling = Scaling.of(problem)
     sizes = np.concatenate([scaling.sizes, np.ones(sum(problem.counts))])
@@ -44,11 +45,11 @@ def test_the_riccati_equation_solves_the_program(n):
     P[0, 0] -= scaling.sizes[0] ** 2
     assert np.linalg.eigvalsh(P).min() > -1e-7 * largest
     program = SemidefiniteProgram(problem).solve(found.alpha)
-    assert program is None or s.bound <= program.bound * (1 + 1e-6)
+    assert program is None or s.bound <= program.bound * (1 + 2e-6)
 
 
-def test_a_warm_start_goes_a_long_way(monkeypatch):
-    """A pole at half of what it was; where nothing near has an X, the start is a cold one."""
+def test_a_warm_start_without_a_solution_gives_way_to_a_cold_one():
+    """A pole at half of what it was."""
     chain = certrack.System(
         plant=certrack.Plant(
             states=["x1", "x2", "x3", "x4"],
@@ -64,11 +65,74 @@ def test_a_warm_start_goes_a_long_way(monkeypatch):
     )
     state = riccati_estimate(error_problem(chain, decimal)).state
     slower = error_problem(chain.replace(law=replace(chain.law, c=(1.5, 3, 3, 3))), decimal)
-    warm, cold = riccati_optimum(slower, state), riccati_optimum(slower)
-    assert warm.bound == pytest.approx(cold.bound, rel=1e-6)
-    monkeypatch.setattr(search, "WARM_SHARES", search.WARM_SHARES[:1])
-    assert riccati_optimum(slower, state) is None
-    assert riccati_estimate(slower, state).bound == cold.bound
+    scaled = state.scaling.applied(slower)
+    assert RiccatiEquation(scaled).at(state.logarithms) is None
+    assert riccati_estimate(slower, state).bound == riccati_estimate(slower).bound
+
+
+def test_an_input_that_moves_no_error_takes_no_estimate_away():
+    """There X is singular; the peak bound and the tube from |e_1(0)| are left."""
+    plant = certrack.Plant(
+        states=["x", "v"],
+        chain=[1],
+        linear=[[-1.0]],
+        gain_sign=1,
+        input_gain=1.3,
+        uncertainty=certrack.Uncertainty([1e-3, 0], [0, 0], [1e-2, 0]),
+    )
+    system = certrack.System(
+        plant=plant,
+        law=certrack.Linear(K=(0, -2), feedforward=1),
+        reference=certrack.SymbolicReference("0"),
+        truth=certrack.Truth(1.3),
+        settings=certrack.Settings([0.7, 0.1], 5),
+    )
+    found = certrack.estimate(system)
+    assert found.bound == pytest.approx(1e-5, rel=1e-3)
+    assert found.tube is None or found.tube(0.0) >= 0.7
+
+
+def test_a_solution_that_is_rounding_is_none(monkeypatch):
+    """Where X_tt is nothing beside the rest of X, its digits are those of the rest."""
+    plant = certrack.Plant(
+        states=["x1", "x2", "x3", "x4"],
+        chain=[8.641, 1.362, 0.8],
+        linear=[[-0.004], [-0.315, 0.032], [0.32, 0.093, 0.414]],
+        drift="-0.3*x1",
+        regressor=["x1"],
+        gain_sign=1,
+        input_gain=1.3,
+        theta=[0.4],
+        uncertainty=certrack.Uncertainty([1] * 4, [0.00264] * 3 + [0], [0, 0.005853, 0, 0.3532]),
+    )
+    law = certrack.Robust(
+        c=(0.1371523, 76.95078, 7.176153, 5.141961),
+        k=(
+            (121.3965, 28.19543),
+            (18.8016, 706.6972, 13.81303, 7.489845),
+            (261.1354, 982.3907, 35.00695, 5.58451, 6.096720, 257.5622),
+            (600.3604, 8.670972, 7.697233, 322.9064, 5.671097, 1.051914, 32.51954, 33.55282),
+        ),
+        p=(18.20473, 872.5557, 76.93490),
+    )
+    system = certrack.System(
+        plant=plant,
+        law=law,
+        reference=certrack.SymbolicReference("0.2*sin(t)+0.1*cos(2*t)"),
+        truth=certrack.Truth(1.3, theta=[0.4]),
+        settings=certrack.Settings([0, 0, 0, 0], 5),
+    )
+    proven = certrack.certify(system, effort="fast").best.bound
+    assert certrack.estimate(system).bound == pytest.approx(proven, rel=1e-3)
+    monkeypatch.setattr(search, "LEAST_PART", 0.0)
+    assert certrack.estimate(system).bound < 0.1 * proven
+
+
+def test_the_tube_of_an_estimate_begins_where_that_of_the_proof_does():
+    for seed in range(6):
+        system = random_system(seed, 3)
+        tube, proof = certrack.estimate(system).tube, certrack.certify(system, effort="fast").tube
+        assert tube.start == pytest.approx(math.sqrt(float(proof.start)), rel=0.02)
 
 
 @pytest.mark.parametrize("n", range(1, 7))

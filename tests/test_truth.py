@@ -199,6 +199,12 @@ def test_a_truth_is_bound_to_a_plant_once():
     for _ in range(2):
         with pytest.raises(InputError, match=r"truth\.input_gain.*sign"):
             system.truth.bound_to(plant)
+    assert stiffer.replace(title="next").truth is stiffer.truth, "a chain of designs has one truth"
+    for sign in (1, -1) * 20:
+        replace(system.truth, input_gain=sign * 2.5).bound_to(replace(plant, gain_sign=sign))
+        system.truth.bound_to(replace(system.plant, units=None))
+    (known,) = vars(system.truth)["_results"].values()
+    assert len(known) == 2, "only the newest plant is remembered"
     assert "_results" not in vars(pickle.loads(pickle.dumps(stiffer.truth)))
 
 

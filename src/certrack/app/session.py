@@ -114,10 +114,12 @@ class Session:
 
     def _begin_pause(self, job: Mapping[str, Any]) -> None:
         """The newest move has its answer: before, a page that waits for it may be moving still."""
-        if job["do"] == "run" and not job["sampled"] and job["design"] == self.design:
-            for kind in ("exact", "sampled"):
-                if self._due.get(kind) == math.inf:
-                    self._due[kind] = time.monotonic() + PAUSE
+        if job["do"] != "run" or job["sampled"] or job["design"] != self.design:
+            return
+        for kind in ("exact", "sampled"):
+            seen = kind == "exact" or (self.move is not None and job["view"] == self.move.view)
+            if seen and self._due.get(kind) == math.inf:
+                self._due[kind] = time.monotonic() + PAUSE
 
     def _end_pause(self) -> None:
         """The gesture is over: what waits for a pause begins; a refined proof comes later still."""
@@ -272,5 +274,5 @@ class Session:
             self._waiting = job
         elif job["do"] in ("run", "bound", "exact", "text", "law"):
             kind = "sampled" if job.get("sampled") and job["do"] == "run" else job["do"]
-            self._mail.setdefault(kind, job)
-            self._due[kind] = 0.0
+            if kind not in self._mail:
+                self._mail[kind], self._due[kind] = job, 0.0

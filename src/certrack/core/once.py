@@ -7,6 +7,7 @@ from functools import wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
 Subject = TypeVar("Subject")
+Other = TypeVar("Other")
 Further = ParamSpec("Further")
 Answer = TypeVar("Answer")
 
@@ -31,6 +32,26 @@ def once(
             results[key] = function(subject, *further, **named)
         result: Answer = results[key]
         return result
+
+    return recall
+
+
+def once_for_newest(
+    function: Callable[[Subject, Other], Answer],
+) -> Callable[[Subject, Other], Answer]:
+    """The function of an object and another one, as long as the other one stays the same.
+
+    Only the last answer is kept, so that an object that lives long holds no others.
+    """
+
+    @wraps(function)
+    def recall(subject: Subject, other: Other, /) -> Answer:
+        results = vars(subject).setdefault(RESULTS, {})
+        known = results.get(function)
+        if known is None or known[0] is not other:
+            known = results[function] = other, function(subject, other)
+        answer: Answer = known[1]
+        return answer
 
     return recall
 

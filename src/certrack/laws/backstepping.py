@@ -60,6 +60,8 @@ class Gains:
 
     def __post_init__(self) -> None:
         c = checks.reals("law.c", self.c, None, "c_1 ... c_n", above=0)
+        if not c:
+            raise InputError("law.c", "must not be empty: c_1 ... c_n", [])
         n = len(c)
         limits: dict[str, Any] = {"above": 0, "infinite": True}
         k, p = no_damping(n)

@@ -12,7 +12,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
-from certrack.core.once import once, without_results
+from certrack.core.once import once_for_newest, without_results
 from certrack.model.coefficients import check_gain, check_within, refuse_varying_gain
 from certrack.model.motors import Motors, Supply
 from certrack.model.names import new_name
@@ -171,11 +171,14 @@ class Truth:
                 formulas = (_open_formula(f"{key}[{i}]", entry) for i, entry in enumerate(entries))
                 set_fields(self, **{name: tuple(formulas)})
 
-    @once
+    @once_for_newest
     def bound_to(self, plant: Plant) -> Truth:
         """This truth checked against `plant`, with its defaults filled in."""
-        if self.states is not None:
-            return self._own_states_bound_to(plant)
+        bound = self._bound_to(plant) if self.states is None else self._own_states_bound_to(plant)
+        return self if bound == self else bound
+
+    def _bound_to(self, plant: Plant) -> Truth:
+        """The same for a truth of the plant's form."""
         assert self.input_gain is not None
         constants = constants_of_truth(plant, self.constants)
         refuse_varying_gain("truth.input_gain", self.input_gain, plant.states)

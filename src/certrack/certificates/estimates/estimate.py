@@ -244,6 +244,7 @@ def _tube_of(system: System, problem: ErrorProblem, solution: Solution) -> TubeE
     Y = np.array(system.reference.values(np.zeros(1), design.q))[:, 0]
     e = design.A @ x0 - design.B @ Y
     twice = float(e @ solution.P @ e)
+    twice = max(twice, float(e[0]) ** 2)  # P >= e_1 e_1^T, but for rounding
     if problem.adaptation is not None:
         estimates = np.array(system.estimates, dtype=float)
         twice += 2 * float(solution.P[-1, -1] * problem.adaptation.energy(estimates))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from certrack.certificates.estimates.loop_data import DataGradient
 from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.search.best_proof import STRICTNESS
 from certrack.certificates.search.riccati import RiccatiState, riccati_optimum
 from certrack.certificates.semidefinite import Solution
 
@@ -23,7 +24,7 @@ class RiccatiEstimate:
         Of the bound.
     state : RiccatiState
     solution : Solution
-        Of the semidefinite program, that has the bound.
+        Of the semidefinite program, as far inside as a proof of it: its bound is 1e-7 larger.
     """
 
     bound: float
@@ -46,12 +47,14 @@ def riccati_estimate(
         Of a problem with the same structure, nearby.
     """
     optimum = riccati_optimum(problem, warm)
-    if optimum is None and warm is not None:  # it was not so near
-        optimum = riccati_optimum(problem)
     if optimum is None:
+        return None
+    inside = (optimum.solution(strictness, room) for strictness, room, _ in STRICTNESS)
+    solution = next(filter(None, inside), None)
+    if solution is None:
         return None
     by_M, by_Uy = optimum.equation.by_data(optimum.point)
     bound, time, sizes = optimum.bound, optimum.state.scaling.time, optimum.state.scaling.sizes
     ratio = time * sizes[None, :] / sizes[:, None]
     gradient = DataGradient(bound / 2 * by_M * ratio, bound / 2 * by_Uy * time / sizes[:, None])
-    return RiccatiEstimate(bound, optimum.alpha, gradient, optimum.state, optimum.solution)
+    return RiccatiEstimate(bound, optimum.alpha, gradient, optimum.state, solution)

@@ -70,7 +70,7 @@ def _by_riccati_equation(exact: ErrorProblem, floats: ErrorProblem, target: int)
     if lowest is None:
         return None
     for strictness, largest_room, back_off in STRICTNESS:
-        solution = lowest.strict_solution(strictness, largest_room)
+        solution = lowest.solution(strictness, largest_room)
         proof = None if solution is None else prove(exact, solution, target, (back_off,))
         if proof is not None:
             return proof

@@ -70,7 +70,6 @@ def quasi_newton(
     accuracy: float,
     inverse: np.ndarray | None = None,
     shortest: float = SHORTEST,
-    here: Derivatives | None = None,
 ) -> Lowest | None:
     """The lowest point that is reached; None if the function does not exist at the start.
 
@@ -86,10 +85,8 @@ def quasi_newton(
         About the inverse Hessian.
     shortest : float
         It ends where so small a part of a step would have to be taken, as at a kink.
-    here : Derivatives, optional
-        Of the function at `x`, where they are known.
     """
-    here = function(x) if here is None else here
+    here = function(x)
     if here is None:
         return None
     B, slope = np.diag(1 / here.curvature) if inverse is None else inverse, -math.inf

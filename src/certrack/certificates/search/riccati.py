@@ -30,11 +30,8 @@ COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-9
 #: A search that ended, at the edge of what exists or after all its steps, further above is none.
 NOT_CONVERGED = 1e-6
 
-#: A warm start that has no X gets smaller lam, and then a smaller alpha: these parts of both.
-WARM_SHARES = ((1.0, 1.0), (0.4, 1.0), (0.4, 0.7), (0.2, 0.4), (0.05, 0.2), (0.01, 0.05))
-
-#: Where a search begins: logarithms, and the point there.
-SearchStart = tuple[np.ndarray, RiccatiPoint]
+#: An X_tt below this part of the largest entry of X is rounding.
+LEAST_PART = 1e-12
 
 
 @dataclass(frozen=True)
@@ -85,19 +82,16 @@ class RiccatiOptimum:
         """Its decay rate, 1/s."""
         return float(math.exp(self.state.logarithms[-1]) / self.state.scaling.time)
 
-    def strict_solution(self, strictness: float, largest_room: float) -> Solution | None:
+    def solution(self, strictness: float, largest_room: float) -> Solution | None:
         """A point of the semidefinite program, inside at this part of the cost; or None."""
-        X = self.equation.strict_solution(self.state.logarithms, strictness, largest_room)
-        return None if X is None else self._solution(X)
-
-    @property
-    def solution(self) -> Solution:
-        """The point of the semidefinite program with this bound: at the edge of what is allowed."""
-        return self._solution(self.point.X)
-
-    def _solution(self, X: np.ndarray) -> Solution:
         scaling, target = self.state.scaling, self.equation.target
-        P, unit = np.linalg.inv(X), float(X[target, target])
+        try:
+            X = self.equation.strict_solution(self.state.logarithms, strictness, largest_room)
+            if X is None:
+                return None
+            P, unit = np.linalg.inv(X), float(X[target, target])
+        except np.linalg.LinAlgError:  # something does not move at all
+            return None
         entries = upper_entries(self.problem.n)
         scaled_P = np.array([P[i, j] + P[j, i] for i, j in entries]) * (unit / 2)
         multipliers = np.exp(self.state.logarithms[:-1]) * unit
@@ -130,6 +124,17 @@ def riccati_optimum(
     assert problem.adaptation is None
     if not sum(problem.counts[1:]):
         return None
+    if warm is not None:
+        optimum = _descended(problem, target, warm)
+        if optimum is not None:
+            return optimum
+    return _descended(problem, target, None)
+
+
+def _descended(
+    problem: ErrorProblem, target: int, warm: RiccatiState | None
+) -> RiccatiOptimum | None:
+    """What a descent from one start ends with; None if it has none, or does not converge."""
     scaling = Scaling.of(problem) if warm is None else warm.scaling
     scaled = scaling.applied(problem)
     equation = RiccatiEquation(scaled, target)
@@ -137,33 +142,20 @@ def riccati_optimum(
         start = _cold_start(equation, fastest_rate(scaled))
         accuracy, inverse = COLD_ACCURACY, None
     else:
-        start = _existing(equation, warm.logarithms)
+        start = warm.logarithms
         accuracy, inverse = WARM_ACCURACY, warm.inverse
-    if start is None:
-        return None
-    logarithms, point = start
-    lowest = quasi_newton(equation.at, logarithms, accuracy, inverse, here=point)
+    lowest = None if start is None else quasi_newton(equation.at, start, accuracy, inverse)
     if lowest is None or lowest.left > NOT_CONVERGED:
         return None
     assert isinstance(lowest.point, RiccatiPoint)
+    X = lowest.point.X
+    if X[target, target] < LEAST_PART * np.abs(X).max():
+        return None
     state = RiccatiState(scaling, lowest.x, lowest.inverse)
     return RiccatiOptimum(problem, equation, lowest.point, state)
 
 
-def _existing(equation: RiccatiEquation, begin: np.ndarray) -> SearchStart | None:
-    """The first point near these logarithms for which there is an X."""
-    na = equation.counts[0]
-    for of_lam, of_alpha in WARM_SHARES:
-        logarithms = begin.copy()
-        logarithms[:na] += math.log(of_lam)
-        logarithms[-1] += math.log(of_alpha)
-        point = equation.at(logarithms)
-        if point is not None:
-            return logarithms, point
-    return None
-
-
-def _cold_start(equation: RiccatiEquation, fastest: float) -> SearchStart | None:
+def _cold_start(equation: RiccatiEquation, fastest: float) -> np.ndarray | None:
     """Multipliers and a rate for which there is an X; None if there are none.
 
     With nu and k of 1 and small lam the a-inputs count only with themselves; from where theirs
@@ -179,10 +171,9 @@ def _cold_start(equation: RiccatiEquation, fastest: float) -> SearchStart | None
             return None
         for _ in range(LOWERINGS if na else 1):
             k = 1 + lam @ equation.reference_weights
-            logarithms = np.log(np.concatenate([lam, np.ones(nb), k, [alpha]]))
-            point = equation.at(logarithms)
-            if point is not None:
-                return logarithms, point
+            start = np.log(np.concatenate([lam, np.ones(nb), k, [alpha]]))
+            if equation.at(start) is not None:
+                return start
             lam = lam * LOWER
     return None
 
