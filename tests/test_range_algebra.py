@@ -20,7 +20,7 @@ from certrack.certificates.ranges.cells import MAX_CORNERS, coarsest, corners_of
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
-from certrack.certificates.ranges.formulas import untrue_formulas
+from certrack.certificates.ranges.formulas import as_sympy, untrue_formulas
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import (
@@ -36,6 +36,22 @@ from certrack.certificates.ranges.sectors import SECTORS, sector_of
 from certrack.certificates.ranges.strength import stable_at_corners
 
 p, q = sympy.symbols("p q")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (flint.fmpq(10**7000 + 1, 3), sympy.Rational(10**7000 + 1, 3)),
+        (Fraction(-(10**5000), 7), sympy.Rational(-(10**5000), 7)),
+        (flint.fmpq(-2), sympy.Integer(-2)),
+        (0.1, sympy.Rational(1, 10)),
+        (3, sympy.Integer(3)),
+    ],
+    ids=["long", "long fraction", "integer", "decimal", "int"],
+)
+def test_rationals_of_any_length_are_those_of_sympy(value, expected):
+    """Python refuses to read or write integers of more than 4300 digits."""
+    assert as_sympy(value) == expected
 
 
 def exact(value):

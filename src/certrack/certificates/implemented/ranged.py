@@ -35,6 +35,7 @@ from certrack.certificates.implemented.drive import (
 )
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
+from certrack.certificates.ranges.formulas import as_sympy
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.systems.system import System
 
@@ -153,16 +154,11 @@ def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
     matrix = sympy.zeros(n, n + 2)
     matrix[: n - 1, :n] = loop.matrix[: n - 1, :n]
     for j in range(n):
-        opened = loop.matrix[n - 1, j] + rho * (_as_sympy(slopes[j]) - _as_sympy(c.nu_x[j]))
+        opened = loop.matrix[n - 1, j] + rho * (as_sympy(slopes[j]) - as_sympy(c.nu_x[j]))
         matrix[n - 1, j] = sympy.cancel(sympy.together(opened))
-    matrix[n - 1, n] = sympy.cancel(rho * _as_sympy(gain))
+    matrix[n - 1, n] = sympy.cancel(rho * as_sympy(gain))
     matrix[n - 1, n + 1] = loop.matrix[n - 1, n + c.q + 2]
     return matrix
-
-
-def _as_sympy(value: Any) -> sympy.Rational:
-    exact = flint.fmpq(value)
-    return sympy.Rational(int(exact.p), int(exact.q))
 
 
 def _longer(values: Sequence[Any], count: int) -> tuple[Any, ...]:

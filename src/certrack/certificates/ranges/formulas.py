@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
+import flint
 import sympy
 
 from certrack.certificates.arithmetic import rational
@@ -168,8 +169,8 @@ def untrue_formulas(system: System) -> list[str]:
 
 def as_sympy(value: Any) -> sympy.Rational:
     """A rational of the proofs as one of SymPy."""
-    exact = Fraction(str(value))
-    return sympy.Rational(exact.numerator, exact.denominator)
+    exact = value if isinstance(value, flint.fmpq) else rational(value)
+    return sympy.Rational(int(exact.p), int(exact.q))
 
 
 def _rationalised(expr: sympy.Expr) -> sympy.Expr:
