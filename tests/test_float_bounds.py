@@ -14,7 +14,6 @@ from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.scaling import Scaling
 from certrack.certificates.search import riccati as search
-from certrack.certificates.search.riccati import riccati_optimum
 from certrack.certificates.search.riccati_equation import RiccatiEquation
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 
