@@ -39,9 +39,9 @@ def once(
 def once_for_newest(
     function: Callable[[Subject, Other], Answer],
 ) -> Callable[[Subject, Other], Answer]:
-    """The function of an object and another one, as long as the other one stays the same.
+    """The function of an object and another one, not computed again while that stays the same.
 
-    Only the last answer is kept, so that an object that lives long holds no others.
+    Only the last answer is remembered, so that an object that lives long holds on to no more.
     """
 
     @wraps(function)
