@@ -123,7 +123,7 @@ def test_a_solution_that_is_rounding_is_none(monkeypatch):
     )
     proven = certrack.certify(system, effort="fast").best.bound
     assert certrack.estimate(system).bound == pytest.approx(proven, rel=1e-3)
-    monkeypatch.setattr(search, "LEAST_PART", 0.0)
+    monkeypatch.setattr(search, "LEAST_DIAGONAL", 0.0)
     assert certrack.estimate(system).bound < 0.1 * proven
 
 

@@ -31,7 +31,7 @@ COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-9
 NOT_CONVERGED = 1e-6
 
 #: An X_tt below this part of the largest entry of X is rounding.
-LEAST_PART = 1e-12
+LEAST_DIAGONAL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def _descended(
         return None
     assert isinstance(lowest.point, RiccatiPoint)
     X = lowest.point.X
-    if X[target, target] < LEAST_PART * np.abs(X).max():
+    if X[target, target] < LEAST_DIAGONAL * np.abs(X).max():
         return None
     state = RiccatiState(scaling, lowest.x, lowest.inverse)
     return RiccatiOptimum(problem, equation, lowest.point, state)
