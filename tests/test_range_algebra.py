@@ -12,6 +12,7 @@ import pytest
 import sympy
 
 import certrack
+from certrack.certificates.arithmetic import as_sympy
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.proof import LEFT, MAX_DOUBLINGS, periods_needed
 from certrack.certificates.ranges import rational
@@ -20,7 +21,7 @@ from certrack.certificates.ranges.cells import MAX_CORNERS, coarsest, corners_of
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
 from certrack.certificates.ranges.estimates import estimated_peak_gains
-from certrack.certificates.ranges.formulas import as_sympy, untrue_formulas
+from certrack.certificates.ranges.formulas import untrue_formulas
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import (

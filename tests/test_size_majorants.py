@@ -5,8 +5,9 @@ from fractions import Fraction
 import pytest
 import sympy
 
+from certrack.certificates.arithmetic import as_sympy
 from certrack.certificates.assumption_1 import UncertainTerm
-from certrack.certificates.size_majorants import Sizes, stays_below, sympy_number
+from certrack.certificates.size_majorants import Sizes, stays_below
 from certrack.core.expressions import parse, symbol
 from certrack.model.growth import NORM
 
@@ -20,7 +21,7 @@ def fractions(*numbers):
 
 def below(text, bound, c, weights=("1", "1"), region=None, norm="6", strength="1"):
     """Whether |text| <= bound is proven where the bound's letter c is a number."""
-    names = {"c": sympy_number(Fraction(c))}
+    names = {"c": as_sympy(Fraction(c))}
     limits = None if region is None else fractions(*region)
     sizes = Sizes(STATES, fractions(*weights), limits, Fraction(norm))
     inside = parse("", bound, [*NAMES, "c"]).expr.xreplace({symbol("c"): names["c"]})

@@ -36,6 +36,12 @@ def fraction(exact: Any) -> Fraction:
     return Fraction(int(exact.p), int(exact.q))
 
 
+def as_sympy(value: Any) -> sympy.Rational:
+    """The exact rational of a number as one of SymPy."""
+    exact = value if isinstance(value, flint.fmpq) else rational(value)
+    return sympy.Rational(int(exact.p), int(exact.q))
+
+
 def decimal(value: Any) -> Any:
     """Float of a number or formula."""
     return float(value.expr if isinstance(value, Expression) else value)

@@ -14,11 +14,11 @@ import numpy as np
 import sympy
 from scipy.optimize import minimize
 
-from certrack.certificates.arithmetic import fraction, rational
+from certrack.certificates.arithmetic import as_sympy, fraction, rational
 from certrack.certificates.domain import always_defined, more_digits, undefined_at
 from certrack.certificates.majorants import Majorant, covers, majorants, root_above
 from certrack.certificates.sampling import Points, nearest_failure, random_points
-from certrack.certificates.size_majorants import Sizes, stays_below, sympy_number
+from certrack.certificates.size_majorants import Sizes, stays_below
 from certrack.core.expressions import TIME, Expression, symbol
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
@@ -208,9 +208,9 @@ class UncertainTerm:
             inside = self.growing.expr
         else:
             sizes = zip(self.single, self.states, strict=False)
-            inside = sum((sympy_number(c) * x for c, x in sizes), sympy_number(self.beta))
-            inside += sympy_number(self.gamma) * symbol(NORM)
-        return sympy_number(self.tau) * inside
+            inside = sum((as_sympy(c) * x for c, x in sizes), as_sympy(self.beta))
+            inside += as_sympy(self.gamma) * symbol(NORM)
+        return as_sympy(self.tau) * inside
 
     def proven_with(self, gamma: Fraction, beta: Fraction) -> bool:
         """The same for another gamma and beta; Delta is left out, and S taken by its least."""

@@ -16,6 +16,7 @@ from typing import Any
 
 import sympy
 
+from certrack.certificates.arithmetic import as_sympy
 from certrack.certificates.majorants import MAX_DEGREE, MAX_TRIED, majorants
 from certrack.core.expressions import symbol
 from certrack.core.monotone import NotMonotone, check_growth
@@ -56,7 +57,7 @@ class Sizes:
         return dict(
             zip(
                 (*self.states, symbol(NORM)),
-                map(sympy_number, (*self.region, self.norm)),
+                map(as_sympy, (*self.region, self.norm)),
                 strict=True,
             )
         )
@@ -77,14 +78,9 @@ def stays_below(
     strength : Fraction
     """
     return any(
-        _covers(bound, sympy_number(strength) * _weighted(candidate, sizes), sizes)
+        _covers(bound, as_sympy(strength) * _weighted(candidate, sizes), sizes)
         for candidate in _majorants(formula, sizes.states)
     )
-
-
-def sympy_number(value: Fraction) -> sympy.Rational:
-    """The same number."""
-    return sympy.Rational(value.numerator, value.denominator)
 
 
 def _majorants(f: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
@@ -102,7 +98,7 @@ def _majorants(f: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[sympy.Expr
         candidates += (sympy.expand(part**f.exp) for part in _majorants(f.base, states))
     for coefficients in majorants(f, states)[:MAX_TRIED]:
         candidates.append(
-            sum((sympy_number(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero)
+            sum((as_sympy(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero)
         )
     return list(dict.fromkeys(candidates))[:MAX_MAJORANTS]
 
@@ -110,7 +106,7 @@ def _majorants(f: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[sympy.Expr
 def _weighted(majorant: sympy.Expr, sizes: Sizes) -> sympy.Expr:
     """With ||S x|| and the sizes in the place of ||x||."""
     least = min(sizes.weights)
-    plain = symbol(NORM) / sympy_number(least) if least else sum(sizes.states, sympy.S.Zero)
+    plain = symbol(NORM) / as_sympy(least) if least else sum(sizes.states, sympy.S.Zero)
     return majorant.xreplace({PLAIN_NORM: plain})
 
 
@@ -164,7 +160,7 @@ def _to_norm(left: Mapping[sympy.Expr, Any], sizes: Sizes) -> dict[sympy.Expr, A
         if c >= 0 or chosen is None or (part / chosen != 1 and not limits):
             continue
         others = (part / chosen).xreplace(dict(limits))
-        share = 1 if chosen == norm else 1 / sympy_number(weights[chosen])
+        share = 1 if chosen == norm else 1 / as_sympy(weights[chosen])
         after[part] -= c
         after[norm] = after.get(norm, sympy.S.Zero) + c * others * share
     return after

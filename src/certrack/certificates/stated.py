@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import as_sympy, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.core.once import once
@@ -208,8 +208,7 @@ def _exact_values(s: Signals, numbers: Mapping[str, Any]) -> dict[sympy.Symbol, 
         if name in numbers:
             entries = np.ravel(np.asarray(numbers[name], dtype=object))
             for entry, value in zip(group, entries, strict=True):
-                exact = rational(value)
-                values[entry] = sympy.Rational(int(exact.p), int(exact.q))
+                values[entry] = as_sympy(value)
     return values
 
 

@@ -21,7 +21,7 @@ import flint
 import numpy as np
 import sympy
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import as_sympy, rational
 from certrack.certificates.balls import ball_matrix
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.channels import Channel
@@ -35,7 +35,6 @@ from certrack.certificates.implemented.drive import (
 )
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
-from certrack.certificates.ranges.formulas import as_sympy
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.systems.system import System
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-from typing import Any
-
-import flint
 import sympy
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import as_sympy, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.ranges.rational import Interval
 from certrack.certificates.scope import refuse_unknown
@@ -167,17 +163,10 @@ def untrue_formulas(system: System) -> list[str]:
     return names
 
 
-def as_sympy(value: Any) -> sympy.Rational:
-    """A rational of the proofs as one of SymPy."""
-    exact = value if isinstance(value, flint.fmpq) else rational(value)
-    return sympy.Rational(int(exact.p), int(exact.q))
-
-
 def _rationalised(expr: sympy.Expr) -> sympy.Expr:
     """The formula with irrational numbers as the decimal text of their floats."""
     if expr.is_Rational:
         return expr
     if not expr.free_symbols:
-        exact = Fraction(repr(float(expr)))
-        return sympy.Rational(exact.numerator, exact.denominator)
+        return as_sympy(float(expr))
     return expr.func(*map(_rationalised, expr.args)) if expr.args else expr

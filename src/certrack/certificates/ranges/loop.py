@@ -25,7 +25,7 @@ import numpy as np
 import sympy
 from mpmath import iv, mp
 
-from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.arithmetic import as_sympy, exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import (
     UncertainInputs,
@@ -33,7 +33,7 @@ from certrack.certificates.formulation import (
     uncertain_inputs,
 )
 from certrack.certificates.intervals import enclosure
-from certrack.certificates.ranges.formulas import OpenFormulas, as_sympy
+from certrack.certificates.ranges.formulas import OpenFormulas
 from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.certificates.ranges.sectors import sector_of
 from certrack.certificates.scope import refuse_unknown
