@@ -166,9 +166,8 @@ def test_a_drive_waits_for_the_answer_to_the_window_that_is_seen():
     session.moved(moved(2, view=5))
     session.answered(first, pack_frame(FrameKind.RUN, {}, design=2))
     assert session.next_job("exact", 1e9)["design"] == 2, "a proof has no window"
-    assert (
-        session.next_job("bound", 1e9)["do"] == "bound" and session.next_job("bound", 1e9) is None
-    )
+    assert session.next_job("bound", 1e9)["do"] == "bound"
+    assert session.next_job("bound", 1e9) is None
     second = session.next_job("run", 1e9)
     session.answered(second, pack_frame(FrameKind.RUN, {}, design=2, view=5))
     jobs = [session.next_job("bound", 1e9) for _ in range(2)]

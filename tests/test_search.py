@@ -34,6 +34,7 @@ from certrack.core import once as once_module
 from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.core.once import once
+from certrack.studies.margins import margins
 
 STARTER = Path(__file__).parent / "data" / "starter.toml"
 
@@ -263,7 +264,8 @@ def test_one_thread_of_the_blas_and_then_as_before():
         before = blas_threads()
         assert set(one_blas_thread(blas_threads)()) == {1}
         assert blas_threads() == before
-    for computation in (certrack.certify, certrack.estimate, certrack.tune, certrack.falsify):
+    computations = (certrack.certify, certrack.estimate, certrack.tune, certrack.falsify, margins)
+    for computation in computations:
         assert hasattr(computation, "__wrapped__")
 
 

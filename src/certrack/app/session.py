@@ -20,8 +20,8 @@ from certrack.app.messages import Export, FormEdit, GainMove, NewText, Open, Sta
 from certrack.app.outbox import QUEUE, Outbox
 from certrack.app.workspace import TextFile
 
-#: Without a move for so long after its answer, s, the exact bound and the run of the drive are
-#: computed; the proof by the default effort follows after another pause.
+#: So long after the answer to a move, s, if no other has come, the exact bound and the run of the
+#: drive are computed; the proof by the default effort follows after another pause.
 PAUSE, REFINING_PAUSE = 0.12, 0.4
 
 #: Jobs that read a text, and those of long computations.

@@ -103,7 +103,8 @@ def best_cascade(
         centred, shift, of_last = best_centred
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
-    head, state = _best_head(inner, near)
+    known = (None, None) if near is None else (near.state, near.head.alpha)
+    head, state = solution_nearby(inner, *known)
     if head is None:
         return None
     return BestCascade(last, centred, head, (of_last, inner), shift, state)
@@ -120,15 +121,23 @@ def rate_nearby(program: SemidefiniteProgram, near: float | None) -> Solution | 
     return best_by_slope(program, near, SLOPE_ACCURACY if near is None else NEARBY_SLOPE_ACCURACY)
 
 
-def _best_head(
-    problem: ErrorProblem, near: BestCascade | None
+def solution_nearby(
+    problem: ErrorProblem, state: RiccatiState | None, alpha: float | None
 ) -> tuple[Solution | None, RiccatiState | None]:
-    """The solution for e_1: it has no estimates, so that its rate is that of a Riccati equation."""
-    quick = riccati_estimate(problem, None if near is None else near.state)
+    """The same of a problem: by its Riccati equation, where it has no estimates, and its state.
+
+    Parameters
+    ----------
+    problem : ErrorProblem
+    state : RiccatiState or None
+        Of a problem nearby.
+    alpha : float or None, 1/s
+        The same where that had no Riccati equation.
+    """
+    quick = riccati_estimate(problem, state) if problem.adaptation is None else None
     if quick is not None:
         return quick.solution, quick.state
-    nearby = None if near is None else near.head.alpha
-    return rate_nearby(SemidefiniteProgram(problem), nearby), None
+    return rate_nearby(SemidefiniteProgram(problem), alpha), None
 
 
 def _centred(

@@ -10,10 +10,9 @@ import numpy as np
 
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import NoCertificate, within_floats
-from certrack.certificates.estimates.cascade import BestCascade, best_cascade, rate_nearby
+from certrack.certificates.estimates.cascade import BestCascade, best_cascade, solution_nearby
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
-from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.problem import ErrorProblem
@@ -21,7 +20,7 @@ from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.vertices import VertexProgram
 from certrack.certificates.scope import has_ranges
 from certrack.certificates.search.riccati import RiccatiState
-from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.systems.system import System, require_system
@@ -160,15 +159,13 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
     near = None if warm is None or math.isnan(warm.alpha) else warm.alpha
     bounds: dict[str, float] = {}
     shares: dict[str, dict[str, float]] = {}
-    quick = None
     if problem.adaptation is None:
         peak = peak_estimate(in_plant_coordinates(problem), gradient=False)
         if math.isfinite(peak.bound):
             bounds["peak"] = peak.bound
             parts = zip(causes(problem), peak.shares.tolist(), strict=True)
             shares["peak"] = {name: share for name, share in parts if share}
-        quick = riccati_estimate(problem, None if warm is None else warm.state)
-    solution = rate_nearby(SemidefiniteProgram(problem), near) if quick is None else quick.solution
+    solution, state = solution_nearby(problem, None if warm is None else warm.state, near)
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)
@@ -188,7 +185,7 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
         shares.get(method, {}),
         None if solution is None else _tube_of(system, problem, solution),
         math.nan if solution is None else solution.alpha,
-        None if quick is None else quick.state,
+        state,
         cascade,
     )
 
