@@ -36,7 +36,7 @@ def own():
     return usage.ru_utime + usage.ru_stime
 
 
-@pytest.mark.filterwarnings("ignore")  # of Dask, of a port in use or a worker that died
+@pytest.mark.filterwarnings("ignore")  # of Dask, of a worker that died
 @pytest.mark.parametrize("kills", [True, False])
 def test_overhead(kills, report):
     distributed = pytest.importorskip("distributed")
@@ -47,7 +47,11 @@ def test_overhead(kills, report):
     alone = own() - begin
     with (
         distributed.LocalCluster(
-            n_workers=WORKERS, threads_per_worker=1, dashboard_address=":0", host="127.0.0.1"
+            n_workers=WORKERS,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",
         ) as cluster,
         distributed.Client(cluster) as client,
     ):

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clusters import local_cluster
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -525,15 +526,10 @@ def test_a_cluster_with_work_enough_gets_larger_chunks():
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_even_if_a_worker_dies():
     """A local Dask cluster; one worker is killed in mid-run."""
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     system = certrack.load("dual-motor")
-    with (
-        LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with local_cluster(2) as cluster, Client(cluster) as client:
         pids = list(client.run(os.getpid).values())
         killed = []
 
@@ -552,7 +548,7 @@ def test_a_cluster_gives_the_same_even_if_a_worker_dies():
 def test_a_cluster_over_tls(tmp_path):
     """Keys of Dask's configuration serve the address of `--cluster`; without them it is refused."""
     import dask
-    from distributed import LocalCluster, Security
+    from distributed import Security
 
     key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
     request = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=localhost -keyout"
@@ -565,13 +561,7 @@ def test_a_cluster_over_tls(tmp_path):
     system = certrack.load("example1")
     with (
         dask.config.set(keys),
-        LocalCluster(
-            n_workers=1,
-            threads_per_worker=1,
-            dashboard_address=None,
-            host="tls://127.0.0.1",
-            security=Security(),
-        ) as cluster,
+        local_cluster(1, protocol="tls", security=Security()) as cluster,
     ):
         address = cluster.scheduler_address
         assert address.startswith("tls://")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clusters import local_cluster
 
 import certrack
 from certrack.cli import main
@@ -490,12 +491,11 @@ def test_another_process_compiles_nothing(folder):
 @pytest.mark.slow
 def test_workers_of_a_cluster_compile_nothing(folder):
     """Each has a memory of its own; they share the disk."""
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     system = certrack.load("example1")
     here = certrack.ensemble(system, 512, seed=5, method="native", limit=np.inf)
-    settings = {"threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
-    with LocalCluster(n_workers=2, **settings) as cluster, Client(cluster) as client:
+    with local_cluster(2) as cluster, Client(cluster) as client:
         client.run(exec, NO_COMPILER, {})
         there = certrack.ensemble(
             system, 512, seed=5, method="native", limit=np.inf, chunk=64, client=client
