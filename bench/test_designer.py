@@ -29,33 +29,41 @@ CLIENTS, CLIENT_SECONDS, GOAL_REPLY, GOAL_BOUNDS = 20, 60.0, 60, 2.0
 #: Pages in a browser beside them, and by how much server and workers may grow meanwhile, MB.
 RENDERED, MOST_GROWTH = 3, 200
 
-#: Laws and orders; the damping of the adaptive law is beyond floats at order 8.
-DESIGNS = [("robust", 2), ("robust", 4), ("robust", 8), ("adaptive", 2), ("adaptive", 4)]
+#: Orders of each law.
+ORDERS = (2, 4, 8)
+DESIGNS = [(law, n) for law in ("robust", "adaptive", "linear") for n in ORDERS]
+
+
+def law_lines(law, n):
+    """The keys of `law` on a chain of order n."""
+    if law == "linear":
+        return "lqr = {error = 100, input = 1}\nfeedforward = 1\n"
+    if law == "robust":
+        return f"c = {[3] * n}\nfeedforward = 1\n"
+    # At order 8 the damping by p overflows, as each step squares it: lean, and slower.
+    c = [(1 if n > 4 else 2) + 0.25 * k for k in range(n)]
+    return (
+        f"c = {c}\n"
+        + (f"p = {[1] * (n - 1)}\n" if n <= 4 else "")
+        + "Gamma = [1]\ngain_rate = 1\nleak_gain = 0.5\nleak_theta = 0.5\n"
+        + "delta0 = 0.4\ntheta0 = [1]\n"
+    )
 
 
 def chain_text(law, n):
     """A chain of n integrators with a disturbance on its last row, as a file."""
-    zeros, head = [0] * (n - 1), f'title = "chain of {n}, {law}"\n[plant]\n'
-    adaptive = law == "adaptive"
-    regressor = '["sin(x1)"]' if adaptive else "[]"
-    poles = [2 + 0.25 * k for k in range(n)] if adaptive else [3] * n
+    zeros, adaptive = [0] * (n - 1), law == "adaptive"
     return (
-        head
+        f'title = "chain of {n}, {law}"\n[plant]\n'
         + f"states = {[f'x{k + 1}' for k in range(n)]}\nchain = {[1] * (n - 1)}\n"
-        + f"regressor = {regressor}\ngain_sign = 1\n"
-        + ("" if adaptive else "input_gain = 2\n")
+        + ('regressor = ["sin(x1)"]\n' if adaptive else "input_gain = 2\n")
+        + "gain_sign = 1\n"
         + f"[plant.uncertainty]\ntau = {[*zeros, 1]}\ngamma = {[*zeros, 1e-5]}\n"
         + f"beta = {[*zeros, 0.1]}\n[truth]\ninput_gain = 2\n"
         + ("theta = [1]\n" if adaptive else "")
         + f"omega = {[*zeros, '0.1*cos(t)']}\n".replace("'", '"')
         + '[reference]\nsignal = "0.2*cos(t)"\n'
-        + f'[law]\nkind = "{law}"\nc = {poles}\n'
-        + (
-            f"p = {[1] * (n - 1)}\nGamma = [1]\ngain_rate = 1\nleak_gain = 0.5\nleak_theta = 0.5\n"
-            + "delta0 = 0.4\ntheta0 = [1]\n"
-            if adaptive
-            else "feedforward = 1\n"
-        )
+        + f'[law]\nkind = "{law}"\n{law_lines(law, n)}'
         + f"[simulation]\nx0 = {[0.5, *zeros]}\nduration = 20\nband = 0.05\ntail = 10\n"
     )
 
