@@ -208,7 +208,7 @@ def wait(shown, expression):
 
 def dragged(shown):
     """Milliseconds of the moves of one drag, ordered."""
-    slider = shown.locator('[data-path="law.c[0]"]')
+    slider = shown.locator('[data-path="law.c[0]"], [data-path="law.lqr.error"]')
     slider.focus()
     shown.keyboard.press("Delete")  # back to where it began
     shown.evaluate("lab.paints.times.length = 0")

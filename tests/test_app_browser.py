@@ -1,6 +1,7 @@
 """The designer in a real browser: what is done with it, by mouse, keys and text."""
 
 import os
+import re
 import shutil
 import time
 
@@ -89,6 +90,22 @@ def test_every_slider_moves_by_keys_typing_and_mouse_and_is_undone(shown):
     page.mouse.up()
     at_rest(page)
     assert page.evaluate("lab.state.run.design === lab.state.design")
+
+
+def test_a_law_that_has_weights_only_shows_them(shown, server):
+    text = certrack.starter("dual-motor-linear")
+    text = re.sub(r"^K = .*\nr = .*$", "lqr = {error = 400, input = 1}", text, flags=re.MULTILINE)
+    (server.folder / "weights.toml").write_text(text)
+    page = shown()
+    assert not page.locator('[data-group="damping"]').get_attribute("open")
+    opened(page, "weights")
+    slider = page.locator('[data-path="law.lqr.error"]')
+    assert slider.is_visible()
+    before = page.evaluate("lab.state.bound.bound")
+    slider.focus()
+    page.keyboard.press("PageUp")
+    at_rest(page)
+    assert page.evaluate("lab.state.bound.bound") < before
 
 
 def test_a_bound_draws_the_error_again_and_no_other_plot(shown):

@@ -35,6 +35,7 @@ export class Gains {
     this.sliders = new Map();
     this.bandwidth = null;
     const linked = system.gains.filter((gain) => gain.linked && gain.logarithmic);
+    const folds = system.gains.some((gain) => !FOLDED.has(gain.group)); // there is always something to move
     const on = { input: (slider, event) => this.input(slider, event), commit: () => this.on.commit(), problem: (text) => this.on.problem(text) };
     let group = "", box = this.parent;
     if (linked.length > 1) {
@@ -44,7 +45,7 @@ export class Gains {
     for (const gain of system.gains) {
       if (gain.group !== group) {
         group = gain.group;
-        box = this.box(group, open.has(group));
+        box = this.box(group, open.has(group) || !folds);
       }
       const slider = gain.logarithmic ? new Slider(box, gain, on) : new NumberRow(box, gain, on);
       if (locked.has(gain.path) && slider.toggleLock) slider.toggleLock();

@@ -3,7 +3,7 @@ import { byId, element } from "./dom.js";
 
 const EXPORTS = [["toml", "System file (TOML)"], ["certificate", "Certificate (JSON)"], ["report", "Report (HTML)"], ["report-pdf", "Report (PDF)"], ["report-md", "Tables for papers (Markdown)"], ["report-tex", "Tables for papers (LaTeX)"], ["c", "C code with its test (ZIP)"], ["st", "Structured Text"], ["fmu", "FMU 2.0"], ["netcdf", "Run (NetCDF)"], ["svg", "Picture (SVG)"], ["png", "Picture (PNG)"], ["pdf", "Picture (PDF)"]];
 export const KEYS = [["F E M U O C", "falsify, ensemble, margins, tune, optimum, compare"], ["P T L", "pin, theme, lock the focused gain"], ["1 2 3", "axis of the error"], ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"], ["Ctrl+S, Ctrl+O, Ctrl+E", "save, open, export"], ["arrows, PgUp, PgDn", "on a slider: 1 %, 10 %; with Shift a tenth"], ["Home, End, Delete", "on a slider: ends of the range, baseline"], ["arrows, + −, Esc", "on a plot: cursor, zoom, whole run"], ["arrows, PgUp, Delete", "on the grip of a limit: move it, take it away"], ["Shift, drag", "on a slider: fine; on a plot: move the window"], ["?", "this list"]];
-export const TRY = [["Move ", "bandwidth", " and watch the bound."], ["Press ", "F", " to search the worst case."], ["Open ", "File", " and raise gamma."]];
+export const TRY = [["Move ", "a slider", " and watch the bound."], ["Press ", "F", " to search the worst case."], ["Open ", "File", " and raise gamma."]];
 
 const VISITED = "certrack-visited";
 
