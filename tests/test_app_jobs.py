@@ -22,6 +22,7 @@ from certrack.app.open_design import Designs, continuous_law
 from certrack.app.order import names_typed, with_states
 from certrack.app.profiles import DRAWN_ORDER, reference_record
 from certrack.app.responses import metric_texts
+from certrack.app.task_progress import TaskProgress
 from certrack.core.errors import InputError
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS, table
@@ -381,13 +382,57 @@ def test_an_edited_reference_keeps_the_comments_around_it():
     assert certrack.loads(changed).reference.order == 1
 
 
+# long computations say what they do
+
+
+def said_in(frames):
+    headers = map(frame_header, frames)
+    return [header["words"] for header in headers if header["state"] == "running"]
+
+
+def test_reports_have_their_words_and_the_first_of_each_part_is_shown():
+    frames = []
+    progress = TaskProgress("optimum", 5, frames.append)
+    searches = progress.part("searches", "iterations")
+    searches(0, 3, None)
+    searches(1, 3, 14)  # too soon
+    progress.part("runs", "worst so far", " rad")(400, 6000, 0.00412345)
+    progress.part("steps", at_work=lambda done: f"step {done}")(2, None, 0.1)
+    assert said_in(frames) == [
+        "0 of 3 searches",
+        "400 of 6000 runs \N{MIDDLE DOT} worst so far 0.0041234 rad",
+        "step 2, steps 2",  # a bound that is not proven yet is not said
+    ]
+    assert [frame_header(frame)["share"] for frame in frames] == [0, 400 / 6000, None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "options", "parts"),
+    [
+        ("falsify", {"budget": 100}, ["certifying, 0 of ", "0 of 100 runs"]),
+        ("margins", {"members": 2}, ["values tried 1"]),
+        ("tune", {"starts": 1}, ["0 of 1 starts", "tuned design: closed forms, 0 of "]),
+    ],
+)
+def test_each_part_of_a_long_computation_is_named(task, options, parts):
+    frames = []
+    run_task(task, certrack.load("dual-motor-drive"), options, 5, frames.append)
+    said = iter(said_in(frames))
+    for part in parts:
+        assert any(words.startswith(part) for words in said), part
+
+
 @pytest.mark.slow
 def test_the_first_members_of_an_ensemble_are_shown_early():
     frames = []
     options = {"members": FIRST_MEMBERS * MORE_MEMBERS}
     data = run_task("ensemble", certrack.load("example1"), options, 5, frames.append)
-    early = [frame_header(f) for f in frames if frame_header(f)["state"] == "early"]
-    assert [header["members"] for header in early] == [FIRST_MEMBERS]
+    early = [frame for frame in frames if frame_header(frame)["state"] == "early"]
+    assert [frame_header(frame)["members"] for frame in early] == [FIRST_MEMBERS]
+    said = said_in(frames)
+    assert said[:2] == [f"the first {FIRST_MEMBERS} members", "certifying the limit of the error"]
+    assert said[2].startswith(f"0 of {FIRST_MEMBERS * MORE_MEMBERS} members")
     assert frame_header(data)["state"] == "done"
     assert frame_header(data)["members"] == FIRST_MEMBERS * MORE_MEMBERS
-    assert len(frame_arrays(data)) == len(frame_arrays(frames[0]))
+    assert len(frame_arrays(data)) == len(frame_arrays(early[0]))

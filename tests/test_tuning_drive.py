@@ -10,8 +10,8 @@ from test_cli import invoke
 
 import certrack
 from certrack.app import long_tasks
+from certrack.app.task_progress import TaskProgress
 from certrack.certificates.certificate import Certificate
-from certrack.core.progress import silent
 from certrack.laws.observer import Observer
 from certrack.loops.stability import linear_loop
 from certrack.reports.tuning import remarks, tuned_bounds, tuned_notes, tuned_table, warnings
@@ -406,7 +406,7 @@ def test_the_designer_shows_the_same_rows(monkeypatch):
     both = [replace(f, continuous=ContinuousFigures(0.25, 0.2)) for f in (OF_DRIVE, OF_LAW)]
     found = Tuned(system, "error", *both, (), (), 1, (1,), 0)
     monkeypatch.setattr(module, "tune", lambda *_, **__: found)
-    header, _ = long_tasks._tune(system, {}, silent, None)
+    header, _ = long_tasks._tune(system, {}, TaskProgress("tune", 1, [].append), None)
     labels = ["certified error", "worst error found"]
     of = [", as the drive runs it", ", continuous law"]
     assert [row[0] for row in header["table"][:4]] == [label + o for o in of for label in labels]

@@ -11,7 +11,7 @@ Worker
     curves), `decimation`, `guarantee` (bounds with their words), `gains` (what a slider moves),
     `form` (every key as a field), `profiles` (the reference drawn, and first ones of other kinds),
     `description` (what the page knows of a system), `written_law` (plant and law as formulas),
-    `long_tasks` (searches that report progress), `exports`.
+    `long_tasks` (searches), `task_progress` (what they say meanwhile), `optimum`, `exports`.
 Both
     `messages` (what a page may ask), `frames` (what it gets).
 

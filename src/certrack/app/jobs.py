@@ -151,9 +151,9 @@ def _task(context: JobContext, job: Job, began: float, send: Sender, progress: A
 def _export(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
     """The design as a file."""
     from certrack.app.exports import exported_file
-    from certrack.app.long_tasks import reporter
+    from certrack.app.task_progress import TaskProgress
 
-    report = reporter("export", job["design"], send)
+    report = TaskProgress("export", job["design"], send).part("steps")
     text = with_numbers(job["text"], job["gains"])
     system = context.open({**job, "text": text}).system
     name, data = exported_file(system, text, job["name"], job["format"], report)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +11,11 @@ import numpy as np
 from certrack.app.decimation import decimate
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.gains import movable_gains
+from certrack.app.guarantee import output_unit
 from certrack.app.optimum import optimum_result
 from certrack.app.responses import curves, number_text
+from certrack.app.task_progress import TaskProgress
 from certrack.core import checks
-from certrack.core.progress import Progress
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS
 from certrack.simulation.metrics import METRIC_LABELS
@@ -23,9 +23,6 @@ from certrack.systems.system import System
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
-
-#: Reports of a computation are passed on at most so often, s.
-REPORT_INTERVAL = 0.1
 
 #: Columns of pixels of the curve of a worst case.
 WORST_PIXELS = 1200
@@ -64,7 +61,7 @@ def run_task(
     bytes
         The frame of the result.
     """
-    report = reporter(task, design, send)
+    progress = TaskProgress(task, design, send)
     works = {"falsify": _falsify, "ensemble": _ensemble, "margins": _margins, "tune": _tune}
     work = (works | {"optimum": optimum_result})[task]
 
@@ -74,24 +71,8 @@ def run_task(
             FrameKind.TASK, {"task": task, "state": state, **header}, arrays, design=design
         )
 
-    result = work(system, options, report, lambda early: send(frame(early, "early")))
+    result = work(system, options, progress, lambda early: send(frame(early, "early")))
     return frame(result, "done")
-
-
-def reporter(task: str, design: int, send: Send) -> Progress:
-    """What a computation calls, and the page sees in its bottom bar."""
-    last = 0.0
-
-    def report(done: float, total: float | None, best: float | None, /) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last < REPORT_INTERVAL:
-            return
-        last = now
-        header = {"task": task, "state": "running", "done": done, "total": total, "best": best}
-        send(pack_frame(FrameKind.TASK, header, design=design))
-
-    return report
 
 
 TaskResult = tuple[dict[str, Any], list[np.ndarray]]
@@ -107,7 +88,7 @@ def _integer_option(
 
 
 def _falsify(
-    system: System, options: Mapping[str, Any], report: Progress, show: Show
+    system: System, options: Mapping[str, Any], progress: TaskProgress, show: Show
 ) -> TaskResult:
     """The worst case found, and the curve of its error."""
     from certrack.simulation.simulator import simulate
@@ -115,7 +96,14 @@ def _falsify(
     from certrack.systems.writer import to_text
 
     budget = _integer_option(options, "budget", 6000, 100, MAX_SEARCH_RUNS)
-    result = falsify(system, budget=budget, seed=_seed(options), progress=report)
+    unit = output_unit(system)
+    result = falsify(
+        system,
+        budget=budget,
+        seed=_seed(options),
+        progress=progress.part("runs", "worst so far", unit),
+        certifying=progress.part("steps", at_work=lambda _: "certifying"),
+    )
     drive = result.drive
     of_drive = drive is not None and math.isfinite(drive.worst_error)
     case = drive.system if drive is not None and of_drive else result.system
@@ -145,17 +133,22 @@ def _falsify(
 
 
 def _ensemble(
-    system: System, options: Mapping[str, Any], report: Progress, show: Show
+    system: System, options: Mapping[str, Any], progress: TaskProgress, show: Show
 ) -> TaskResult:
     """Quantile bands of every signal, and the statistics of the metrics."""
     from certrack.studies.ensembles.ensemble import ensemble
+    from certrack.studies.ensembles.error_limit import limit_and_starts
 
     members = _integer_option(options, "members", 2000, 8, MAX_ENSEMBLE)
     seed = _seed(options)
     early = FIRST_MEMBERS
     while early * MORE_MEMBERS <= members:
+        progress.say(f"the first {early} members")
         show(_fan(ensemble(system, early, seed=seed, limit=math.inf)))
         early *= MORE_MEMBERS
+    progress.say("certifying the limit of the error")
+    limit_and_starts(system, None)  # it is remembered
+    report = progress.part("members", "worst so far", output_unit(system))
     return _fan(ensemble(system, members, seed=seed, progress=report))
 
 
@@ -186,12 +179,13 @@ def _fan(result: Ensemble) -> TaskResult:
 
 
 def _margins(
-    system: System, options: Mapping[str, Any], report: Progress, show: Show
+    system: System, options: Mapping[str, Any], progress: TaskProgress, show: Show
 ) -> TaskResult:
     """What period, delay and saturation may become."""
     from certrack.studies.margins import margins
 
     members = _integer_option(options, "members", 32, 1, MAX_MARGIN_MEMBERS)
+    report = progress.part("values tried")
     result = margins(system, members=members, seed=_seed(options), progress=report)
     unit = (system.plant.units or ("",))[-1]
     named = {
@@ -226,11 +220,13 @@ def _margins(
     return header, []
 
 
-def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Show) -> TaskResult:
+def _tune(
+    system: System, options: Mapping[str, Any], progress: TaskProgress, show: Show
+) -> TaskResult:
     """Gains within limits, before and after."""
     from certrack.reports.tuning import tuned_bounds
     from certrack.tuning.result import Tuned
-    from certrack.tuning.tune import tune
+    from certrack.tuning.tune import finishing_step, tune
 
     limits: dict[str, Any] = {
         name: checks.real(name, options[name], above=0)
@@ -240,14 +236,16 @@ def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Sh
     objective = options.get("objective", "error")
     starts = _integer_option(options, "starts", 2, 1, MAX_TUNE_STARTS)
     front = options.get("front") or None
+    unit = output_unit(system) if objective == "error" else ""
     result: Tuned = tune(
         system,
         objective=objective,
         starts=starts,
         seed=_seed(options),
         front=front,
-        progress=report,
-        sweeping=report,
+        progress=progress.part("starts", "best so far", unit),
+        proving=progress.part("steps", at_work=finishing_step),
+        sweeping=progress.part("points", "last", unit, lambda _: "front"),
         **limits,
     )
     before, after = result.before.summary(), result.after.summary()

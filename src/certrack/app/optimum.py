@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from certrack.app.decimation import decimate
+from certrack.app.task_progress import TaskProgress
 from certrack.core import checks
-from certrack.core.progress import Progress
 from certrack.systems.system import System
 
 #: Elements of the finest mesh that a page gets: minima within a percent or so, in seconds.
@@ -20,7 +20,7 @@ OPTIMUM_PIXELS = 1200
 
 
 def optimum_result(
-    system: System, options: Mapping[str, Any], report: Progress, show: Callable[..., None]
+    system: System, options: Mapping[str, Any], progress: TaskProgress, show: Callable[..., None]
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
     """The least squared error and the least energy that any law could have where this one is.
 
@@ -29,8 +29,9 @@ def optimum_result(
     system : System
     options : mapping
         ``horizon``, s, and ``elements`` of the finest mesh.
-    report, show : callable
-        Progress; nothing is shown early.
+    progress : TaskProgress
+    show : callable
+        Not called: nothing is shown early.
 
     Returns
     -------
@@ -54,7 +55,7 @@ def optimum_result(
         system,
         horizon=None if horizon is None else checks.real("horizon", horizon, above=0),
         elements=checks.integer("elements", elements, FIRST_ELEMENTS, MAX_ELEMENTS),
-        progress=report,
+        progress=progress.part("searches", "iterations"),
     )
     printed = optima_table(result)
     curves: list[np.ndarray] = []

@@ -2,7 +2,7 @@
 import { byId, element, write } from "./dom.js";
 import { Drawer, sentence, table } from "./drawer.js";
 import { Fan } from "./fan.js";
-import { format, typed } from "./numbers.js";
+import { typed } from "./numbers.js";
 import { Tuning } from "./tuning.js";
 
 const PINNED = "Pinned designs";
@@ -111,11 +111,10 @@ export class Tasks {
     this.freshen();
   }
 
-  progress({ task, done, total, best }) {
-    if (total) byId("bar").value = done / total;
-    const unit = this.state.system.units[0], word = task === "tune" ? "best" : "worst";
-    const count = total ? `${Math.round(done)} of ${Math.round(total)}` : `${Math.round(done)}`;
-    write(byId("work-text"), `${NAMES[task]} ${count}${best === null ? "" : ` · ${word} so far ${format(best, 4)} ${unit}`}`.trim());
+  progress({ task, words, share }) {
+    if (share === null) byId("bar").removeAttribute("value");
+    else byId("bar").value = share;
+    write(byId("work-text"), `${NAMES[task]}: ${words}`);
   }
 
   close() {
