@@ -131,8 +131,8 @@ def test_where_the_gesture_ends_the_proof_begins_and_is_made_once():
     session.moved(moved(2, resting=True))
     now = time.monotonic()
     assert session.next_job("exact", now)["design"] == 2
-    waiting = [session.next_job("bound", now) for _ in range(2)]
-    assert [job["do"] for job in waiting] == ["text", "run"] and waiting[1]["sampled"]
+    waiting = [session.next_job("bound", now) for _ in range(3)]
+    assert [job["do"] for job in waiting] == ["text", "bound", "run"] and waiting[2]["sampled"]
     session.moved(moved(2, resting=True))
     assert session.next_job("exact", math.inf) is None
     session.moved(moved(2, view=1))
@@ -148,7 +148,6 @@ def test_a_page_that_waits_for_an_answer_is_not_at_rest():
     session.moved(moved(3))
     assert session.next_job("exact", 1e9) is None
     session.answered(first, pack_frame(FrameKind.RUN, {}, design=2))
-    session.next_job("bound", 1e9)
     assert session.next_job("exact", 1e9) is None, "the newest move has no answer yet"
     newest = session.next_job("run", 1e9)
     session.answered(newest, pack_frame(FrameKind.RUN, {}, design=3))
@@ -170,18 +169,18 @@ def test_a_drive_waits_for_the_answer_to_the_window_that_is_seen():
     assert session.next_job("bound", 1e9) is None
     second = session.next_job("run", 1e9)
     session.answered(second, pack_frame(FrameKind.RUN, {}, design=2, view=5))
-    jobs = [session.next_job("bound", 1e9) for _ in range(2)]
-    assert [(job["do"], job["view"]) for job in jobs] == [("bound", 5), ("run", 5)]
+    job = session.next_job("bound", 1e9)
+    assert (job["do"], job["view"]) == ("run", 5), "of the same gains there is a bound"
 
 
 def test_a_run_of_the_drive_that_crashed_does_not_hasten_the_next_one():
     session = opened_session(drive=True)
     session.moved(moved(2, resting=True))
-    session.next_job("bound", 1e9)
-    old = session.next_job("bound", 1e9)
+    *_, old = (session.next_job("bound", 1e9) for _ in range(3))
     assert old["sampled"]
     session.moved(moved(3))
     session.crashed(old, timed_out=False, seconds=20)
+    assert session.next_job("bound", 1e9)["do"] == "bound"
     assert session.next_job("bound", 1e9) is None
 
 
@@ -198,24 +197,25 @@ def test_a_move_whose_run_is_given_up_has_its_proof_all_the_same(timed_out):
 
 
 def test_formulas_are_computed_only_where_the_page_shows_them():
-    for law, asked in ((False, ["text"]), (True, ["text", "law"])):
+    for law, asked in ((False, ["text", "bound"]), (True, ["text", "bound", "law"])):
         session = opened_session()
         session.moved(moved(2, resting=True, law=law))
         jobs = iter(lambda s=session: s.next_job("bound", math.inf), None)
         assert [job["do"] for job in jobs] == asked
 
 
-def test_the_newest_move_wins_and_the_bound_is_of_what_is_answered():
+def test_the_newest_move_wins_and_its_bound_does_not_wait_for_its_run():
     session = opened_session()
     for design in range(2, 40):
         session.moved(moved(design))
     now = math.inf
     work = session.next_job("run", now)
     assert work["design"] == 39 and session.next_job("run", now) is None
-    assert session.next_job("bound", now) is None
-    session.answered(work, pack_frame(FrameKind.RUN, {}, design=39))
-    session.moved(moved(40))
     assert session.next_job("bound", now)["design"] == 39
+    assert session.next_job("bound", now) is None
+    session.moved(moved(40))
+    session.answered(work, pack_frame(FrameKind.RUN, {}, design=39))
+    assert session.next_job("bound", now)["design"] == 40
     assert session.next_job("exact", 0.0) is None, "a proof waits until the move rests"
     assert session.next_job("exact", now)["design"] == 40
 
@@ -239,7 +239,8 @@ def test_a_view_alone_asks_for_no_bound_and_a_drive_is_run_as_it_is_at_rest():
     session = opened_session(drive=True)
     session.moved(moved(2))
     session.next_job("exact", math.inf), session.next_job("run", math.inf)
-    assert session.next_job("bound", math.inf)["sampled"]
+    jobs = [session.next_job("bound", math.inf) for _ in range(2)]
+    assert jobs[0]["do"] == "bound" and jobs[1]["sampled"]
     session.moved(moved(2, view=7))
     assert session.next_job("exact", math.inf) is None
     assert session.next_job("run", math.inf)["view"] == 7

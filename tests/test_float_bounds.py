@@ -241,3 +241,27 @@ def test_a_warm_certificate_is_as_good_and_as_proven():
     assert moved.bound == pytest.approx(certrack.estimate(nearby).bound, rel=1e-6)
     with pytest.raises(certrack.InputError, match="must be what certrack.estimate returned"):
         certrack.estimate(system, warm=3)
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor-lean"])
+def test_a_quick_estimate_is_nearly_the_least_and_takes_few_programs(name, monkeypatch):
+    solved = []
+    real = SemidefiniteProgram.point
+    monkeypatch.setattr(
+        SemidefiniteProgram, "point", lambda self, a: solved.append(a) or real(self, a)
+    )
+    system = certrack.load(name)
+    quick = warm = certrack.estimate(system)
+    for k in range(12):
+        law = replace(system.law, c=tuple(1.02**k * v for v in system.law.c))
+        moved = system.replace(law=law)
+        warm = certrack.estimate(moved, warm=warm)
+        least, slow = warm.bound, len(solved)
+        solved.clear()
+        quick = certrack.estimate(moved, warm=quick, accuracy=1e-4)
+        assert least * (1 - 1e-5) <= quick.bound <= least * (1 + 2e-4)
+        assert len(solved) <= 6 and (not solved or len(solved) < slow)
+        solved.clear()
+    for accuracy in (0, -1, 0.2, math.nan, "x"):
+        with pytest.raises(certrack.InputError, match="accuracy"):
+            certrack.estimate(system, warm=warm, accuracy=accuracy)

@@ -103,6 +103,7 @@ class Session:
         seen = before is not None and (before.view, before.window) == (move.view, move.window)
         self._post("run", sampled=False)
         if changed:
+            self._post("bound")
             self._post("exact", effort="fast", after=math.inf)
         if self.base.drive and (changed or not seen):
             self._post("sampled", do="run", sampled=True, after=math.inf)
@@ -197,8 +198,6 @@ class Session:
         prefix = frame_prefix(frame)
         if prefix.kind is FrameKind.SYSTEM:
             self._described(job, frame)
-        if prefix.kind is FrameKind.RUN and not job["sampled"] and self.move is not None:
-            self._mail["bound"] = {**job, "do": "bound"}
         if job["do"] == "exact":
             if prefix.kind is FrameKind.EXACT and job["effort"] == "fast":
                 self._post("exact", effort="default", after=REFINING_PAUSE)

@@ -217,7 +217,7 @@ function frame() {
   requestAnimationFrame(() => {
     asked = false;
     draw();
-    if (state.run) paints.frame(state.run.design);
+    if (state.run) paints.frame(state.run.design, state.bound?.design ?? 0);
   });
 }
 

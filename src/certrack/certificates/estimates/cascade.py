@@ -79,7 +79,10 @@ class BestCascade:
 
 
 def best_cascade(
-    system: System, problem: ErrorProblem, near: BestCascade | None
+    system: System,
+    problem: ErrorProblem,
+    near: BestCascade | None,
+    accuracy: float = NEARBY_SLOPE_ACCURACY,
 ) -> BestCascade | None:
     """The stages of the cascade; None where one of them has no solution.
 
@@ -90,39 +93,48 @@ def best_cascade(
         In floats, of the adaptive law and order 2 or more.
     near : BestCascade or None
         Of a system nearby.
+    accuracy : float
+        Beside it, what log bound^2 of a stage may be above the lowest.
     """
     target = problem.n - 1
     last = rate_nearby(
-        SemidefiniteProgram(problem, target), None if near is None else near.last.alpha
+        SemidefiniteProgram(problem, target), None if near is None else near.last.alpha, accuracy
     )
     if last is None:
         return None
     of_last, shift, centred = problem, 0.0, None
-    best_centred = _centred(system, last, target, near)
+    best_centred = _centred(system, last, target, near, accuracy)
     if best_centred is not None and best_centred[0].bound < last.bound:
         centred, shift, of_last = best_centred
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
-    known = (None, None) if near is None else (near.state, near.head.alpha)
-    head, state = solution_nearby(inner, *known)
+    known, alpha = (None, None) if near is None else (near.state, near.head.alpha)
+    head, state = solution_nearby(inner, known, alpha, accuracy)
     if head is None:
         return None
     return BestCascade(last, centred, head, (of_last, inner), shift, state)
 
 
-def rate_nearby(program: SemidefiniteProgram, near: float | None) -> Solution | None:
+def rate_nearby(
+    program: SemidefiniteProgram, near: float | None, accuracy: float
+) -> Solution | None:
     """The solution of least bound over alpha, from what is known of a program nearby, if anything.
 
     Parameters
     ----------
     program : SemidefiniteProgram
     near : float or None, 1/s
+    accuracy : float
+        Beside it, what log bound^2 may be above the lowest.
     """
-    return best_by_slope(program, near, SLOPE_ACCURACY if near is None else NEARBY_SLOPE_ACCURACY)
+    return best_by_slope(program, near, SLOPE_ACCURACY if near is None else accuracy)
 
 
 def solution_nearby(
-    problem: ErrorProblem, state: RiccatiState | None, alpha: float | None
+    problem: ErrorProblem,
+    state: RiccatiState | None,
+    alpha: float | None,
+    accuracy: float = NEARBY_SLOPE_ACCURACY,
 ) -> tuple[Solution | None, RiccatiState | None]:
     """The same of a problem: by its Riccati equation, where it has no estimates, and its state.
 
@@ -133,35 +145,46 @@ def solution_nearby(
         Of a problem nearby.
     alpha : float or None, 1/s
         The same where that had no Riccati equation.
+    accuracy : float
+        There, what log bound^2 may be above the lowest.
     """
     quick = riccati_estimate(problem, state) if problem.adaptation is None else None
     if quick is not None:
         return quick.solution, quick.state
-    return rate_nearby(SemidefiniteProgram(problem), alpha), None
+    return rate_nearby(SemidefiniteProgram(problem), alpha, accuracy), None
 
 
 def _centred(
-    system: System, reached: Solution, target: int, near: BestCascade | None
+    system: System, reached: Solution, target: int, near: BestCascade | None, accuracy: float
 ) -> tuple[Solution, float, ErrorProblem] | None:
-    """The centred stage: by a full search, or beside the shift that is known from nearby."""
+    """The centred stage: by a full search, or beside the shift that is known from nearby.
+
+    Where little accuracy will do none is sought that is not known.
+    """
+    quick = accuracy > NEARBY_SLOPE_ACCURACY
+    known = None if near is None or near.centred is None else (near.shift, near.centred.alpha)
+    if quick and near is not None and known is None:
+        return None
     try:
         exact = error_problem(system, rational)
         problems = CentredProblems.of(system, exact, _as_proof(reached)).in_floats()
     except NoCertificate:
         return None
-    if near is not None and near.centred is not None:
-        nearby = best_shift_nearby(problems, near.shift, near.centred.alpha, target)
+    if known is not None:
+        nearby = best_shift_nearby(problems, *known, target, accuracy)
         if nearby is not None:
             kappa, solution = nearby
             return solution, kappa, problems.at(kappa)
-        pairs = [(near.shift * r, near.centred.alpha) for r in (1, SHIFT_RATIO, 1 / SHIFT_RATIO)]
+        ratios = (1.0,) if quick else (1.0, SHIFT_RATIO, 1 / SHIFT_RATIO)
+        pairs = [(known[0] * ratio, known[1]) for ratio in ratios]
     else:
         pairs = best_shifts(problems, reached.alpha, target, reached.bound)[:1]
     entries = []
     for kappa, alpha in pairs:
         shift = float(f"{kappa:.{SHIFT_DIGITS}g}")
         centred = problems.at(shift)
-        best = best_by_slope(SemidefiniteProgram(centred, target), alpha)
+        program = SemidefiniteProgram(centred, target)
+        best = best_by_slope(program, alpha, accuracy if quick else SLOPE_ACCURACY)
         if best is not None:
             entries.append((best, shift, centred))
     return min(entries, key=lambda entry: entry[0].bound, default=None)

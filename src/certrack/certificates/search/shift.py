@@ -82,7 +82,11 @@ def best_shifts(
 
 
 def best_shift_nearby(
-    centred: CentredProblems, kappa: float, alpha: float, target: int
+    centred: CentredProblems,
+    kappa: float,
+    alpha: float,
+    target: int,
+    accuracy: float = NEARBY_SHIFT_ACCURACY,
 ) -> tuple[float, Solution] | None:
     """The best kappa and its solution, by a descent from those of a design nearby.
 
@@ -98,6 +102,8 @@ def best_shift_nearby(
     alpha : float, 1/s
     target : int
         Which e_i is bounded (from 0).
+    accuracy : float
+        What log bound^2 may be above the lowest.
     """
     scaling = Scaling.of(centred.at(kappa))
 
@@ -105,8 +111,8 @@ def best_shift_nearby(
         return _point(centred, kappa, x, target, scaling)
 
     start = np.array([math.log(alpha), 0.0])
-    lowest = quasi_newton(at, start, NEARBY_SHIFT_ACCURACY, shortest=NEARBY_SHORTEST)
-    if lowest is None or lowest.left > NEARBY_SHIFT_ACCURACY:
+    lowest = quasi_newton(at, start, accuracy, shortest=NEARBY_SHORTEST)
+    if lowest is None or lowest.left > accuracy:
         return None
     assert isinstance(lowest.point, _ShiftedPoint)
     return kappa * math.exp(lowest.x[1]), lowest.point.solution
