@@ -20,7 +20,7 @@ from certrack.app.responses import run_frame
 from certrack.app.written_law import law_frame
 from certrack.certificates.certify import certify
 from certrack.certificates.estimates.estimate import (
-    WARM_ACCURACY,
+    NEARBY_ACCURACY,
     BoundEstimate,
     estimate,
 )
@@ -84,7 +84,7 @@ def _bound(context: JobContext, job: Job, began: float, send: Sender, progress: 
     system = design.with_gains(job["gains"])
     moving = began - context.bound_asked < STILL_MOVING
     context.bound_asked = began
-    accuracy = MOVE_ACCURACY if moving else WARM_ACCURACY
+    accuracy = MOVE_ACCURACY if moving else NEARBY_ACCURACY
     design.warm = estimate(system, warm=design.warm, accuracy=accuracy)
     return estimate_frame(design.warm, job["design"], began)
 

@@ -28,7 +28,7 @@ from certrack.core.errors import InputError
 from certrack.systems.system import System, require_system
 
 #: By which part a bound that is begun nearby may be above the least, and what may be asked for.
-WARM_ACCURACY, MAX_ACCURACY = NEARBY_SLOPE_ACCURACY / 2, 0.1
+NEARBY_ACCURACY, MAX_ACCURACY = NEARBY_SLOPE_ACCURACY / 2, 0.1
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class BoundEstimate:
 
 @one_blas_thread
 def estimate(
-    system: System, *, warm: BoundEstimate | None = None, accuracy: float = WARM_ACCURACY
+    system: System, *, warm: BoundEstimate | None = None, accuracy: float = NEARBY_ACCURACY
 ) -> BoundEstimate:
     """Estimate the certified error, many times faster than it is proven.
 
