@@ -144,7 +144,8 @@ const shown = () => ({ design: state.design, revision: state.revision, gains: va
 
 /** Nothing that was proven is of the new design. */
 function outdate() {
-  if (state.bound) state.bound = { ...state.bound, exact: false, contradicted: [] };
+  const { bound } = state;
+  if (bound?.exact || bound?.contradicted?.length) state.bound = { ...bound, exact: false, contradicted: [] }; // else what it shows stays drawn
   frame();
 }
 
