@@ -7,12 +7,16 @@ processes, the starts of the workers left out, against the same members without 
 import os
 import resource
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 import certrack
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from clusters import local_cluster
 
 MEMBERS = 1_000_000
 WORKERS = 4
@@ -46,13 +50,7 @@ def test_overhead(kills, report):
     here = certrack.ensemble(system, MEMBERS, threads=1)
     alone = own() - begin
     with (
-        distributed.LocalCluster(
-            n_workers=WORKERS,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            worker_dashboard_address="127.0.0.1:0",
-        ) as cluster,
+        local_cluster(WORKERS) as cluster,
         distributed.Client(cluster) as client,
     ):
         certrack.ensemble(system, WORKERS * 64, chunk=16, client=client)  # imports

@@ -210,12 +210,18 @@ def test_the_cascade_is_estimated_with_its_centred_stage_warm_and_cold():
         assert sum(warm.shares.values()) == pytest.approx(warm.bound)
 
 
-def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(monkeypatch):
-    solved = []
+@pytest.fixture
+def solved(monkeypatch):
+    """The decay rates of the programs that were solved so far."""
+    rates = []
     real = SemidefiniteProgram.point
     monkeypatch.setattr(
-        SemidefiniteProgram, "point", lambda self, a: solved.append(a) or real(self, a)
+        SemidefiniteProgram, "point", lambda self, a: rates.append(a) or real(self, a)
     )
+    return rates
+
+
+def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(solved):
     system = certrack.load("example1")
     warm = certrack.estimate(system)
     for factor in (1.005, 1.01, 1.015, 1.02):
@@ -244,12 +250,7 @@ def test_a_warm_certificate_is_as_good_and_as_proven():
 
 
 @pytest.mark.parametrize("name", ["example1", "dual-motor-lean"])
-def test_a_quick_estimate_is_nearly_the_least_and_takes_few_programs(name, monkeypatch):
-    solved = []
-    real = SemidefiniteProgram.point
-    monkeypatch.setattr(
-        SemidefiniteProgram, "point", lambda self, a: solved.append(a) or real(self, a)
-    )
+def test_a_quick_estimate_is_nearly_the_least_and_takes_few_programs(name, solved):
     system = certrack.load(name)
     quick = warm = certrack.estimate(system)
     for k in range(12):

@@ -47,8 +47,8 @@ class TaskProgress:
         noun : str
             What is counted, in the plural.
         extreme, unit : str
-            What its extreme value is called, and the unit, with a blank before it; a bound that is
-            on the way to be proven is not shown.
+            What its extreme value is called, and its unit with a blank before it; without a name
+            the value is not shown.
         at_work : callable, optional
             Names what is at work when so much is done.
 

@@ -82,7 +82,7 @@ def best_cascade(
     system: System,
     problem: ErrorProblem,
     near: BestCascade | None,
-    accuracy: float = NEARBY_SLOPE_ACCURACY,
+    accuracy: float,
 ) -> BestCascade | None:
     """The stages of the cascade; None where one of them has no solution.
 
@@ -134,7 +134,7 @@ def solution_nearby(
     problem: ErrorProblem,
     state: RiccatiState | None,
     alpha: float | None,
-    accuracy: float = NEARBY_SLOPE_ACCURACY,
+    accuracy: float,
 ) -> tuple[Solution | None, RiccatiState | None]:
     """The same of a problem: by its Riccati equation, where it has no estimates, and its state.
 

@@ -19,8 +19,8 @@ SHIFTS = (0.01, 0.03, 0.1)
 #: Half the relative step of kappa's difference; the problem's part in it is nearly linear.
 SHIFT_STEP = 1e-4
 
-#: By how much the descent may leave log bound^2 above the lowest, from afar and from nearby.
-SHIFT_ACCURACY, NEARBY_SHIFT_ACCURACY = 1e-7, 1e-6
+#: By how much the descent from afar may leave log bound^2 above the lowest.
+SHIFT_ACCURACY = 1e-7
 
 #: From nearby a step is not shortened further than this: the lowest point is a kink.
 NEARBY_SHORTEST = 0.05
@@ -86,7 +86,7 @@ def best_shift_nearby(
     kappa: float,
     alpha: float,
     target: int,
-    accuracy: float = NEARBY_SHIFT_ACCURACY,
+    accuracy: float,
 ) -> tuple[float, Solution] | None:
     """The best kappa and its solution, by a descent from those of a design nearby.
 
