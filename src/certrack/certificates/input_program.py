@@ -18,7 +18,8 @@ from scipy import sparse
 from certrack.certificates.input_problem import InputProblem
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scaling import Scaling
-from certrack.certificates.semidefinite import MAX_ITERATIONS, svec, upper_entries
+from certrack.certificates.semidefinite import MAX_ITERATIONS
+from certrack.certificates.symmetric import svec, upper_entries
 
 #: The units of e grow with the start by this power of its size in them.
 START_POWER = 0.75

@@ -28,6 +28,7 @@ from scipy.optimize import minimize_scalar
 
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scaling import Scaling
+from certrack.certificates.symmetric import svec, upper_entries
 
 #: The alpha that are tried first, as parts of the fastest: 14 over three decades, a factor of 1.7
 #: apart, and one near the end. The bound is flat in alpha but not unimodal at the edges; half as
@@ -374,27 +375,6 @@ def best_solution(program: Program[_Found]) -> _Found | None:
     accuracy = {"xatol": ALPHA_ACCURACY}
     minimize_scalar(bound, bounds=(low, high), method="bounded", options=accuracy)
     return min(solutions.values(), key=lambda solution: solution.bound)
-
-
-def upper_entries(n: int) -> list[tuple[int, int]]:
-    """The entries (i, j), i <= j, of a symmetric matrix, column by column."""
-    return [(i, j) for j in range(n) for i in range(j + 1)]
-
-
-def svec(matrix: np.ndarray) -> np.ndarray:
-    """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
-    places, weights = _triangle(len(matrix))
-    entries: np.ndarray = matrix.ravel()[places] * weights
-    return entries
-
-
-@lru_cache(maxsize=64)
-def _triangle(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the upper triangle's entries, column by column, and their weights in svec."""
-    rows, columns = np.tril_indices(size)  # (j, i) of the upper triangle, by columns
-    places, weights = columns * size + rows, np.where(rows == columns, 1.0, math.sqrt(2))
-    places.flags.writeable = weights.flags.writeable = False
-    return places, weights
 
 
 @lru_cache(maxsize=64)

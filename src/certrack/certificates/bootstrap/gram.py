@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.bootstrap.monomials import Monomial, Polynomial, product_of
-from certrack.certificates.semidefinite import upper_entries
+from certrack.certificates.symmetric import upper_entries
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ from certrack.certificates.bootstrap.monomials import (
     with_coefficients,
 )
 from certrack.certificates.bootstrap.program import LARGEST_RATE
-from certrack.certificates.semidefinite import MAX_ITERATIONS, upper_entries
+from certrack.certificates.semidefinite import MAX_ITERATIONS
+from certrack.certificates.symmetric import upper_entries
 
 #: Below the smallest eigenvalue of every Gram matrix, so that its rounding leaves it definite.
 MARGIN = 3e-6

@@ -23,11 +23,8 @@ from certrack.certificates.exact import (
 )
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scaling import Scaling
-from certrack.certificates.semidefinite import (
-    MAX_ITERATIONS,
-    SemidefiniteProgram,
-    svec,
-)
+from certrack.certificates.semidefinite import MAX_ITERATIONS, SemidefiniteProgram
+from certrack.certificates.symmetric import svec
 
 #: Multipliers (lam, nu, k) of one end.
 Multipliers = tuple[np.ndarray, np.ndarray, np.ndarray]

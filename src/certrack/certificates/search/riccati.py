@@ -15,7 +15,8 @@ from certrack.certificates.search.riccati_equation import (
     RiccatiPoint,
     smallest_solution,
 )
-from certrack.certificates.semidefinite import Solution, fastest_rate, upper_entries
+from certrack.certificates.semidefinite import Solution, fastest_rate
+from certrack.certificates.symmetric import upper_entries
 
 #: Decay rates that a cold start tries, over the fastest.
 COLD_SHARES = (0.35, 0.1, 0.03, 0.005)

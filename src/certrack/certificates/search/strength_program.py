@@ -19,13 +19,8 @@ import numpy as np
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scaling import Scaling
 from certrack.certificates.search.riccati_equation import smallest_solution
-from certrack.certificates.semidefinite import (
-    SemidefiniteProgram,
-    Solution,
-    minimiser,
-    svec,
-    upper_entries,
-)
+from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, minimiser
+from certrack.certificates.symmetric import svec, upper_entries
 
 #: By how much more than needed P exceeds e_1 e_1^T.
 ABOVE_THE_FLOOR = 1.01
