@@ -66,6 +66,11 @@ class Adaptation:
         return not ((self.Gamma - np.diag(np.diag(self.Gamma))) != 0).any()
 
     @cached_property
+    def _rates(self) -> np.ndarray:
+        """The diagonal of Gamma."""
+        return np.diagonal(self.Gamma)
+
+    @cached_property
     def _own_offsets(self) -> list[np.ndarray]:
         """Of theta_offsets, those around theta_0."""
         return self.theta_offsets()
@@ -129,7 +134,7 @@ class Adaptation:
         if not self.gamma_is_positive_definite():
             return None
         if self._is_diagonal:
-            weights = leak - alpha / 2 / np.diag(self.Gamma)
+            weights = leak - alpha / 2 / self._rates
             if not (weights > 0).all():
                 return None
             return leak**2 * max((v**2 / weights).sum() for v in self._own_offsets) / 4

@@ -46,10 +46,14 @@ class Scaling:
         In which the slowest pole of the error system decays.
     sizes : (n,) array
         Typical size of each e_i.
+    equilibrate : bool
+        Whether the solver chooses units of its own besides. Near the best alpha it needs a third
+        fewer iterations without; elsewhere, and for the last digits, it is better off with them.
     """
 
     time: float
     sizes: np.ndarray
+    equilibrate: bool = True
 
     @classmethod
     def of(cls, problem: ErrorProblem) -> Scaling:
@@ -65,6 +69,10 @@ class Scaling:
         sizes = _size_under(timed, bounded) if bounded.any() else np.zeros(problem.n)
         reached = timed.Ua * _reach(problem, sizes)
         return cls(time, _size_under(timed, np.hstack([bounded, reached])))
+
+    def alone(self) -> Scaling:
+        """The same without units of the solver's own."""
+        return replace(self, equilibrate=False)
 
     def applied(self, problem: ErrorProblem) -> ErrorProblem:
         """The same problem in these units, with a_k in those of what bounds it.

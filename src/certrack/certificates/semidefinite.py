@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Protocol, TypeVar
@@ -122,15 +123,14 @@ class SemidefiniteProgram:
         n = problem.n
         self._na, self._nb, self._ny = problem.counts
         self.entries = self._free_entries(n)
-        base, slope = self.inequality = self._columns()
-        size = n + sum(problem.counts)
-        self._size = size
+        size = self._size = n + sum(problem.counts)
+        units = self._units()
+        base, slope = self.inequality = self._columns(units)
         identity = np.eye(len(self.entries) + sum(problem.counts))
         unit = np.zeros((n, n))
         unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
-        for column, matrix in enumerate(self._units()):
-            floor[:, column] = -svec(matrix)
+        floor[:, : len(units)] = -svec(units).T
         self.floor = floor, -svec(unit)
         multipliers = -identity[len(self.entries) :]
         self._base = np.vstack([base, floor, multipliers])
@@ -142,6 +142,17 @@ class SemidefiniteProgram:
         if len(multipliers):
             self._cones.append(clarabel.NonnegativeConeT(len(multipliers)))
 
+    def aimed_at(self, target: int) -> SemidefiniteProgram:
+        """The program of the same problem that bounds another e_i: it has most of its parts."""
+        other, n = copy(self), self.problem.n
+        unit = np.zeros((n, n))
+        unit[target, target] = 1.0
+        other.target, other.floor = target, (self.floor[0], -svec(unit))
+        first = self._size * (self._size + 1) // 2
+        other._right = self._right.copy()
+        other._right[first : first + len(other.floor[1])] = other.floor[1]
+        return other
+
     def _free_entries(self, n: int) -> list[tuple[int, int]]:
         """Entries (i <= j) of P that may be nonzero."""
         entries = upper_entries(n)
@@ -149,34 +160,30 @@ class SemidefiniteProgram:
             return entries
         return [(i, j) for i, j in entries if j < n - 1 or i == j]
 
-    def _units(self) -> list[np.ndarray]:
+    def _units(self) -> np.ndarray:
         """A symmetric matrix with ones in its place for each free entry of P."""
-        n, units = self.problem.n, []
-        for i, j in self.entries:
-            matrix = np.zeros((n, n))
-            matrix[i, j] = matrix[j, i] = 1.0
-            units.append(matrix)
+        units = np.zeros((len(self.entries), self.problem.n, self.problem.n))
+        every = np.arange(len(units))
+        rows, columns = np.array(self.entries).T
+        units[every, rows, columns] = units[every, columns, rows] = 1.0
         return units
 
-    def _columns(self) -> tuple[np.ndarray, np.ndarray]:
+    def _columns(self, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """svec of the inequality for each variable: the part without alpha and its slope."""
-        n, na, nb, ny = self.problem.n, self._na, self._nb, self._ny
-        zero, size = np.zeros((n, n)), n + na + nb + ny
-        lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
-        base, slope = [], []
-        half = np.zeros((size, size))
-        for matrix in self._units():
-            base.append(svec(self._scaled.inequality(matrix, lam, nu, k, 0.0)))
-            half[:n, :n] = matrix / 2  # alpha/2 P
-            slope.append(svec(half))
-        for one in np.eye(na):
-            base.append(svec(self._scaled.inequality(zero, one, nu, k, 0.0)))
-        for place in range(n + na, size):  # each nu and k in its own place alone
-            alone = np.zeros((size, size))
-            alone[place, place] = -1.0
-            base.append(svec(alone))
-        slope += [np.zeros(size * (size + 1) // 2)] * (na + nb + ny)
-        return np.array(base).T, np.array(slope).T
+        scaled, n, na = self._scaled, self.problem.n, self._na
+        base = np.zeros((len(units) + sum(self.problem.counts), self._size, self._size))
+        slope = np.zeros_like(base)
+        of_P, of_lam = base[: len(units)], base[len(units) :][:na]
+        through_M = units @ scaled.M
+        of_P[:, :n, :n] = (through_M + through_M.transpose(0, 2, 1)) / 2
+        of_P[:, :n, n:] = units @ np.hstack([scaled.Ua, scaled.Ub, scaled.Uy]) / 2
+        slope[: len(units), :n, :n] = units / 2  # alpha/2 P
+        no_P, no_nu, no_k = np.zeros((n, n)), np.zeros(self._nb), np.zeros(self._ny)
+        for column, lam in zip(of_lam, np.eye(na), strict=True):
+            column[:] = scaled.inequality(no_P, lam, no_nu, no_k, 0.0)
+        alone = np.arange(n + na, self._size)  # each nu and k in its own place
+        base[len(units) + na + np.arange(len(alone)), alone, alone] = -1.0
+        return svec(base).T, svec(slope).T
 
     @property
     def slowest_pole(self) -> float:
@@ -260,7 +267,10 @@ class SemidefiniteProgram:
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> ProgramPoint | None:
         """Clarabel's minimiser of cost . x with right - matrix x in the cones, or None."""
-        result = _clarabel(cost, matrix, self._right, self._cones)
+        numbers = cost, matrix, self._right, self._cones
+        result = _clarabel(*numbers, equilibrate=self.scaling.equilibrate)
+        if result is None and not self.scaling.equilibrate:
+            result = _clarabel(*numbers)
         if result is None:
             return None
         return ProgramPoint(np.array(result.x), np.array(result.z), cost)
@@ -300,12 +310,18 @@ def minimiser(
 
 
 def _clarabel(
-    cost: np.ndarray, matrix: np.ndarray, right: np.ndarray, cones: list[Any]
+    cost: np.ndarray,
+    matrix: np.ndarray,
+    right: np.ndarray,
+    cones: list[Any],
+    *,
+    equilibrate: bool = True,
 ) -> Any | None:
     """What Clarabel returns, if it is usable."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = MAX_ITERATIONS
+    settings.equilibrate_enable = equilibrate
     columns = sparse.csc_matrix(matrix)
     solver = clarabel.DefaultSolver(_no_quadratic(len(cost)), cost, columns, right, cones, settings)
     result = solver.solve()

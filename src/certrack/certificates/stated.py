@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,9 @@ INTEGRAL_ACTION = (
 
 #: Why there is no other certificate of a law whose gains move.
 GAINS_MOVE = "gains move (law.online): only the certificate online can cover it, in continuous time"
+
+#: Comparisons of formulas that a process remembers.
+MAX_COMPARISONS = 64
 
 #: Relative difference from the recursion's numbers that is a rounding and not another design.
 SAME_NUMBERS = 1e-9
@@ -103,9 +107,9 @@ def _compared_with_its_equations(system: System) -> KnownParameters | EstimatedP
     equations = law.equations(signals)
     for what in _disagreements(stated, equations, signals):
         raise NoCertificate(_refusal(system, what))
-    _compare_controller(system, equations, signals)
-    _compare_recursion(system)
     values = _exact_values(signals, law.parameters(plant))
+    _compare_controller(system, equations, signals, values)
+    _compare_recursion(system)
     exact = _with_values(stated, values)
     if isinstance(exact, KnownParameters):
         _compare_parameters(system, exact)
@@ -153,11 +157,13 @@ def _refusal(system: System, what: str) -> str:
     )
 
 
-def _compare_controller(system: System, equations: Equations, bare: Signals) -> None:
+def _compare_controller(
+    system: System, equations: Equations, bare: Signals, values: Mapping[sympy.Symbol, Any]
+) -> None:
     """Refuse a law whose controller has other formulas or numbers than the law's own."""
     law, plant, controller = system.law, system.plant, system.controller
     full = Signals(plant, bare.q, integral=law.integral is not None)
-    parts = dict(zip((bare.nu, bare.e_n, *bare.phi), (full.nu, full.e_n, *full.phi), strict=True))
+    parts = (bare.nu, bare.e_n, *bare.phi), (full.nu, full.e_n, *full.phi)
     runs = controller.equations.formulas
     others = [z for z in controller.states if z not in [name for name, _ in equations.update]]
     rates = dict(controller.equations.update)
@@ -166,12 +172,26 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
     ):
         raise NoCertificate(_refusal(system, "it has states that are not its own"))
     for name, formula in equations.formulas.items():
-        if name not in runs or not identical(runs[name], sympy.sympify(formula).xreplace(parts)):
+        if name not in runs or not _is_with(*parts, runs[name], sympy.sympify(formula)):
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
-    used = dict(zip(map(str, controller.symbols), controller.values, strict=True))
-    for name, value in _exact_values(bare, law.parameters(plant)).items():
-        if used.get(str(name)) != float_of(value):
+    used = dict(zip(controller.symbols, controller.values, strict=True))
+    for name, value in values.items():
+        if used.get(name) != float_of(value):
             raise NoCertificate(_refusal(system, f"what runs with {name} has another number"))
+
+
+@lru_cache(maxsize=MAX_COMPARISONS)
+def _is_with(
+    symbols: tuple[sympy.Symbol, ...],
+    parts: tuple[sympy.Expr, ...],
+    formula: sympy.Expr,
+    bare: sympy.Expr,
+) -> bool:
+    """Whether a formula is the bare one with parts in the place of symbols.
+
+    A law that is made again for other gains has the same formulas.
+    """
+    return identical(formula, bare.xreplace(dict(zip(symbols, parts, strict=True))))
 
 
 def _compare_recursion(system: System) -> None:

@@ -14,9 +14,13 @@ def upper_entries(n: int) -> list[tuple[int, int]]:
 
 
 def svec(matrix: np.ndarray) -> np.ndarray:
-    """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
-    places, weights = _triangle(len(matrix))
-    entries: np.ndarray = matrix.ravel()[places] * weights
+    """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention).
+
+    Of a matrix, or of each one of an array of them.
+    """
+    *count, size, _ = matrix.shape
+    places, weights = _triangle(size)
+    entries: np.ndarray = matrix.reshape(*count, -1)[..., places] * weights
     return entries
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import sympy
@@ -12,6 +13,9 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.laws.integral import INTEGRAL
 from certrack.model.plant import Plant
+
+#: Formulas that a process remembers.
+MAX_FORMULAS = 256
 
 
 class _Signal(tuple[sympy.Expr, ...]):
@@ -74,9 +78,9 @@ class Signals:
         a = self.parameters("A_n", plant.n)
         b = self.parameters("B_n", q + 1)
         nu_x = self.parameters("nu_x", plant.n)
-        nu_y = self.parameters("nu_Y", q + 2)
-        self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
-        self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
+        nu_Y = self.parameters("nu_Y", q + 2)
+        self.e_n = _inner(a, self.x) - _inner(b, self.Y[: q + 1])
+        self.nu = _inner(nu_x, self.x) + _inner(nu_Y, self.Y) - plant.drift.expr
         if integral:
             self.e_n += self.parameter("A_n0") * INTEGRAL
             self.nu += self.parameter("nu_0") * INTEGRAL
@@ -103,6 +107,12 @@ class Signals:
     def all_parameters(self) -> Mapping[str, tuple[sympy.Symbol, ...]]:
         """Every gain asked for so far, by name."""
         return self._parameters
+
+
+@lru_cache(maxsize=MAX_FORMULAS)
+def _inner(a: tuple[sympy.Symbol, ...], b: tuple[sympy.Symbol, ...]) -> sympy.Expr:
+    """The same of symbols: a law that is made again for other gains has the same formulas."""
+    return dot(a, b)
 
 
 def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import decimal
 from certrack.certificates.cascade import SHIFT_DIGITS, head_problem
-from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
 from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
-from certrack.certificates.exact import Proof
-from certrack.certificates.formulation import error_problem
+from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.search.decay_rate import (
     NEARBY_SLOPE_ACCURACY,
@@ -40,9 +38,6 @@ SHIFT_RATIO = 1.06
 
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
-
-#: Digits of the floats that stand for a proof.
-STAGE_DIGITS = 13
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,7 @@ class BestCascade:
 
 def best_cascade(
     system: System,
-    problem: ErrorProblem,
+    program: SemidefiniteProgram,
     near: BestCascade | None,
     accuracy: float,
 ) -> BestCascade | None:
@@ -89,21 +84,20 @@ def best_cascade(
     Parameters
     ----------
     system : System
-    problem : ErrorProblem
-        In floats, of the adaptive law and order 2 or more.
+    program : SemidefiniteProgram
+        Of the adaptive law and order 2 or more.
     near : BestCascade or None
         Of a system nearby.
     accuracy : float
         Beside it, what log bound^2 of a stage may be above the lowest.
     """
-    target = problem.n - 1
-    last = rate_nearby(
-        SemidefiniteProgram(problem, target), None if near is None else near.last.alpha, accuracy
-    )
+    problem = program.problem
+    last_alpha = None if near is None else near.last.alpha
+    last = rate_nearby(program.aimed_at(problem.n - 1), last_alpha, accuracy)
     if last is None:
         return None
     of_last, shift, centred = problem, 0.0, None
-    best_centred = _centred(system, last, target, near, accuracy)
+    best_centred = _centred(system, program, last, near, accuracy)
     if best_centred is not None and best_centred[0].bound < last.bound:
         centred, shift, of_last = best_centred
     limit = last.bound if centred is None else centred.bound
@@ -155,7 +149,11 @@ def solution_nearby(
 
 
 def _centred(
-    system: System, reached: Solution, target: int, near: BestCascade | None, accuracy: float
+    system: System,
+    program: SemidefiniteProgram,
+    reached: Solution,
+    near: BestCascade | None,
+    accuracy: float,
 ) -> tuple[Solution, float, ErrorProblem] | None:
     """The centred stage: by a full search, or beside the shift that is known from nearby.
 
@@ -165,13 +163,16 @@ def _centred(
     known = None if near is None or near.centred is None else (near.shift, near.centred.alpha)
     if quick and near is not None and known is None:
         return None
+    problem, target = program.problem, program.problem.n - 1
+    design = problem, error_coordinates(system, decimal)
     try:
-        exact = error_problem(system, rational)
-        problems = CentredProblems.of(system, exact, _as_proof(reached)).in_floats()
+        problems = CentredStage.of(system).problems(design, reached.P, reached.bound)
     except NoCertificate:
         return None
+    if not math.isfinite(problems.remainder):
+        return None
     if known is not None:
-        nearby = best_shift_nearby(problems, *known, target, accuracy)
+        nearby = best_shift_nearby(problems, *known, target, accuracy, program.scaling)
         if nearby is not None:
             kappa, solution = nearby
             return solution, kappa, problems.at(kappa)
@@ -183,22 +184,12 @@ def _centred(
     for kappa, alpha in pairs:
         shift = float(f"{kappa:.{SHIFT_DIGITS}g}")
         centred = problems.at(shift)
-        program = SemidefiniteProgram(centred, target)
-        best = best_by_slope(program, alpha, accuracy if quick else SLOPE_ACCURACY)
+        best = best_by_slope(
+            SemidefiniteProgram(centred, target), alpha, accuracy if quick else SLOPE_ACCURACY
+        )
         if best is not None:
             entries.append((best, shift, centred))
     return min(entries, key=lambda entry: entry[0].bound, default=None)
-
-
-def _as_proof(solution: Solution) -> Proof:
-    """Floats in the form of a proof, which they are none of."""
-
-    def text(value: float) -> str:
-        return f"{float(value):.{STAGE_DIGITS}g}"
-
-    rows = tuple(tuple(map(text, row)) for row in np.asarray(solution.P))
-    lam, nu, k = (tuple(map(text, v)) for v in (solution.lam, solution.nu, solution.k))
-    return Proof(text(solution.alpha), rows, lam, nu, k, text(solution.bound))
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,10 @@ class CentredStage:
         problem, coordinates = design
         law = problem.adaptation
         assert law is not None
-        spreads = np.diagonal(problem.Xe @ np.linalg.solve(P, problem.Xe.T))
+        try:
+            spreads = np.diagonal(problem.Xe @ np.linalg.solve(P, problem.Xe.T))
+        except np.linalg.LinAlgError:
+            return math.inf
         if not (spreads >= 0).all():  # P is lost in roundings: no set at all
             return math.inf
         offsets = np.abs(problem.Xe @ coordinates.B) @ np.array(self.Y[: coordinates.q + 1])
@@ -102,9 +105,12 @@ class CentredStage:
             for state, radius in zip(self.states, radii, strict=True)
         }
         errors = bound * np.sqrt(np.diagonal(law.Gamma).astype(float) / P[-1, -1])
-        total = largest_magnitudes(self.drift, box, 1)[0]
-        for phi, error in zip(self.regressor, errors, strict=False):
-            total += largest_magnitudes(phi, box, 1)[0] * error
+        try:
+            total = largest_magnitudes(self.drift, box, 1)[0]
+            for phi, error in zip(self.regressor, errors, strict=False):
+                total += largest_magnitudes(phi, box, 1)[0] * error
+        except TypeError:  # a function without a rule
+            return math.inf
         return float(total)
 
 

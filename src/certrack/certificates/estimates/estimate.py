@@ -10,7 +10,12 @@ import numpy as np
 
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import NoCertificate, within_floats
-from certrack.certificates.estimates.cascade import BestCascade, best_cascade, solution_nearby
+from certrack.certificates.estimates.cascade import (
+    BestCascade,
+    best_cascade,
+    rate_nearby,
+    solution_nearby,
+)
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.formulation import error_problem
@@ -18,10 +23,15 @@ from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.vertices import VertexProgram
+from certrack.certificates.scaling import Scaling
 from certrack.certificates.scope import has_ranges
 from certrack.certificates.search.decay_rate import NEARBY_SLOPE_ACCURACY
 from certrack.certificates.search.riccati import RiccatiState
-from certrack.certificates.semidefinite import Solution, best_solution
+from certrack.certificates.semidefinite import (
+    SemidefiniteProgram,
+    Solution,
+    best_solution,
+)
 from certrack.core import checks
 from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
@@ -172,22 +182,29 @@ def _nominal(system: System, warm: BoundEstimate | None, accuracy: float) -> Bou
     near = None if warm is None or math.isnan(warm.alpha) else warm.alpha
     bounds: dict[str, float] = {}
     shares: dict[str, dict[str, float]] = {}
+    cascade = None
     if problem.adaptation is None:
         peak = peak_estimate(in_plant_coordinates(problem), gradient=False)
         if math.isfinite(peak.bound):
             bounds["peak"] = peak.bound
             parts = zip(causes(problem), peak.shares.tolist(), strict=True)
             shares["peak"] = {name: share for name, share in parts if share}
-    solution, state = solution_nearby(problem, None if warm is None else warm.state, near, accuracy)
+        known = None if warm is None else warm.state
+        solution, state = solution_nearby(problem, known, near, accuracy)
+    else:
+        scaling, quick = Scaling.of(problem), accuracy > NEARBY_SLOPE_ACCURACY
+        scaling = scaling.alone() if quick and near is not None else scaling
+        program = SemidefiniteProgram(problem, 0, scaling)
+        solution, state = rate_nearby(program, near, accuracy), None
+        if problem.n > 1:
+            stages = None if warm is None else warm.cascade
+            cascade = best_cascade(system, program, stages, accuracy)
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)
-    cascade = None
-    if problem.adaptation is not None and problem.n > 1:
-        cascade = best_cascade(system, problem, None if warm is None else warm.cascade, accuracy)
-        if cascade is not None:
-            bounds["cascade"] = cascade.head.bound
-            shares["cascade"] = _cascade_shares(cascade)
+    if cascade is not None:
+        bounds["cascade"] = cascade.head.bound
+        shares["cascade"] = _cascade_shares(cascade)
     if not bounds:
         raise NoCertificate("the uncertainty is too strong for this design; lower tau, or raise c")
     method = min(bounds, key=lambda kind: bounds[kind])

@@ -87,6 +87,7 @@ def best_shift_nearby(
     alpha: float,
     target: int,
     accuracy: float,
+    scaling: Scaling,
 ) -> tuple[float, Solution] | None:
     """The best kappa and its solution, by a descent from those of a design nearby.
 
@@ -104,8 +105,9 @@ def best_shift_nearby(
         Which e_i is bounded (from 0).
     accuracy : float
         What log bound^2 may be above the lowest.
+    scaling : Scaling
+        Of the problem without a centre: kappa changes the sizes of its e_i by little.
     """
-    scaling = Scaling.of(centred.at(kappa))
 
     def at(x: np.ndarray) -> _ShiftedPoint | None:
         return _point(centred, kappa, x, target, scaling)
