@@ -21,10 +21,12 @@ import { bindTabs } from "./tabs.js";
 import { Tasks } from "./tasks.js";
 import { Texts } from "./texts.js";
 import { beginTheme, switchTheme } from "./theme.js";
+import { Together } from "./together.js";
 
 const REST = 120, RESIZED = 200;
 
 const paints = new Paints(new URLSearchParams(location.search).has("measure"));
+const together = new Together(frame);
 let asked = false;
 
 beginTheme();
@@ -171,7 +173,7 @@ function run({ header, rows, design, view }) {
     state.run = { header, rows, times, design, view };
     const { before } = state;
     if (before && !before.byUser && before.design === design && header.sampled && !before.run.header.sampled) pinned(false);
-    frame();
+    together.run(design, (state.bound?.design ?? 0) >= design);
   }
   requests.goOn();
 }
@@ -182,7 +184,7 @@ function estimate(header, design) {
   const causes = header.shares.length ? {} : { shares, shares_of, shares_nominal, sharesBefore: true };
   state.bound = { ...header, ...causes, design, exact: false };
   state.boundTime = header.ms;
-  frame();
+  together.bound(design);
 }
 
 function exact(header, design) {
