@@ -41,6 +41,11 @@ export function style(target, name) {
   if (target.className !== name) target.className = name;
 }
 
+/** Set an attribute if it differs. */
+export function attribute(target, name, value) {
+  if (target.getAttribute(name) !== String(value)) target.setAttribute(name, value);
+}
+
 /** A colour or length of the theme. */
 export const token = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 

@@ -1,5 +1,5 @@
 // The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
-import { byId, element, style, write } from "./dom.js";
+import { attribute, byId, element, style, write } from "./dom.js";
 import { change, format, worded, writeWords } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
@@ -109,8 +109,8 @@ export class Guarantee {
       box.children[3 * k + 1].firstChild.style.transform = `scaleX(${value ? Math.min(1, value / most) : 0})`;
       write(box.children[3 * k + 2], text ?? "—");
     });
-    box.children[6].textContent = bound?.contradicted?.length ? "not certified" : bound && !bound.exact ? "estimated" : "certified";
-    box.setAttribute("aria-label", `simulated ${header.texts.tail_error}, ${worst ? `worst found ${worst.text}, ` : ""}${bound?.bound ? `bound ${bound.text}` : "no bound"}`);
+    write(box.children[6], bound?.contradicted?.length ? "not certified" : bound && !bound.exact ? "estimated" : "certified");
+    attribute(box, "aria-label", `simulated ${header.texts.tail_error}, ${worst ? `worst found ${worst.text}, ` : ""}${bound?.bound ? `bound ${bound.text}` : "no bound"}`);
   }
 
   measures(system, header, bound, before) {

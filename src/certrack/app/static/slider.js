@@ -1,5 +1,5 @@
 // One number: a logarithmic slider with a field and a lock. Its value keeps its sign.
-import { drawing, element, write, ownGesture } from "./dom.js";
+import { attribute, drawing, element, write, ownGesture } from "./dom.js";
 import { format, nameElement, typed } from "./numbers.js";
 
 const SPAN = 10, NEAR = 12, FINE = 0.1;
@@ -176,10 +176,10 @@ export class Slider {
     this.fill.style.width = `${Math.abs(at - base)}%`;
     if (document.activeElement !== this.field) this.field.value = format(this.value);
     const ends = [this.low, this.high].map((size) => Number((this.sign * size).toPrecision(4))).sort((a, b) => a - b);
-    this.track.setAttribute("aria-valuemin", ends[0]);
-    this.track.setAttribute("aria-valuemax", ends[1]);
-    this.track.setAttribute("aria-valuenow", this.value);
-    this.track.setAttribute("aria-valuetext", `${format(this.value)} ${spoken(this.gain.unit)}`.trim());
+    attribute(this.track, "aria-valuemin", ends[0]);
+    attribute(this.track, "aria-valuemax", ends[1]);
+    attribute(this.track, "aria-valuenow", this.value);
+    attribute(this.track, "aria-valuetext", `${format(this.value)} ${spoken(this.gain.unit)}`.trim());
   }
 }
 
