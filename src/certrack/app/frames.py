@@ -85,9 +85,7 @@ def pack_frame(
     """
     lengths: dict[str, Any] = {"lengths": [len(a) for a in arrays]} if arrays else {}
     lengths |= {"bytes": len(data)} if data else {}
-    text = json.dumps(
-        json_ready({**header, **lengths}), separators=(",", ":"), allow_nan=False
-    ).encode()
+    text = _json({**header, **lengths}).encode()
     text += b" " * (-len(text) % 4)
     counters = view & MAX_VIEW, design & MAX_DESIGN
     prefix = _PREFIX.pack(MAGIC, kind, *counters, len(text), revision & MAX_REVISION)
@@ -125,6 +123,18 @@ def frame_arrays(data: bytes) -> list[np.ndarray]:
 
 def _header_size(data: bytes) -> int:
     return frame_prefix(data).header_bytes
+
+
+def _json(header: Mapping[str, Any]) -> str:
+    """The text of a header; one that is ready is not walked through before."""
+
+    def text(value: Any) -> str:
+        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=json_ready)
+
+    try:
+        return text(header)
+    except ValueError:  # a number that is not finite
+        return text(json_ready(header))
 
 
 def json_ready(value: Any) -> Any:

@@ -27,7 +27,7 @@ const REST = 120, RESIZED = 200;
 
 const paints = new Paints(new URLSearchParams(location.search).has("measure"));
 const together = new Together(frame);
-let asked = false;
+let asked = false, plotsWidth = 0;
 
 beginTheme();
 const send = (message) => link.send(message);
@@ -38,7 +38,7 @@ const gains = new Gains(byId("gains"), {
   problem: (text) => note(text),
   step: (path, value) => edit(path, value),
 });
-const requests = new Requests({ send, values, width: () => byId("plots").clientWidth, law: () => byId("law-card").open });
+const requests = new Requests({ send, values, width: () => (plotsWidth ||= byId("plots").clientWidth), law: () => byId("law-card").open });
 const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
 const texts = new Texts({ send, values, all: () => gains.all(), editor: () => editor });
 const edit = (path, value) => texts.edit(path, value);
@@ -337,6 +337,8 @@ addEventListener("resize", settled(() => {
   nextView();
   requests.submit();
 }, RESIZED));
+
+new ResizeObserver(() => (plotsWidth = 0)).observe(byId("plots")); // to ask for it at each move would lay out the page in between
 
 addEventListener("hashchange", () => state.greeting && designs.follow(files.linked()));
 document.fonts?.ready.then(() => responses.plots.forEach((plot) => plot.plot.redraw(false)));
