@@ -130,6 +130,24 @@ def test_a_bound_draws_the_error_again_and_no_other_plot(shown):
     wait(page, f"{current} && {counts}.output > {counted['output']}")
 
 
+def test_responses_are_drawn_with_their_bound_if_that_comes_soon(shown):
+    drawn = """(async () => {
+      const { Together } = await import("./together.js");
+      const draws = [], pause = (ms) => new Promise((done) => setTimeout(done, ms));
+      const together = new Together(() => draws.push(performance.now()));
+      const counts = [];
+      together.run(2, false); counts.push(draws.length);  // its bound is on its way
+      together.bound(2); counts.push(draws.length);
+      await pause(60); counts.push(draws.length);  // no second time
+      together.run(3, true); counts.push(draws.length);  // the bound came before
+      together.run(4, false); await pause(60); counts.push(draws.length);  // it does not come
+      together.bound(4); counts.push(draws.length);
+      together.run(5, false); counts.push(draws.length);  // nor is it waited for again
+      return counts;
+    })()"""
+    assert shown().evaluate(drawn) == [0, 1, 1, 2, 3, 4, 5]
+
+
 def test_a_second_drag_moves_as_the_first_did(shown):
     """Presses must not select texts of the page, which the browser would then drag away."""
     page = shown()

@@ -8,6 +8,7 @@ import pytest
 from test_tuning import agree, random_system
 
 import certrack
+from certrack.certificates import semidefinite
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.riccati import riccati_estimate
@@ -16,6 +17,7 @@ from certrack.certificates.scaling import Scaling
 from certrack.certificates.search import riccati as search
 from certrack.certificates.search.riccati_equation import RiccatiEquation
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.certificates.symmetric import svec
 
 
 @pytest.mark.parametrize("n", range(1, 7))
@@ -234,6 +236,47 @@ def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(solved):
         assert warm.bounds == pytest.approx(cold.bounds, rel=2e-6)
         assert warm.cascade.shift == pytest.approx(cold.cascade.shift, rel=0.02)
         assert warm.cascade.problems[0].adaptation.shift == warm.cascade.shift
+
+
+@pytest.mark.parametrize("name", ["example1", "theorem1-counterexample"])
+def test_a_program_that_is_aimed_elsewhere_is_the_one_made_for_there(name):
+    problem = error_problem(certrack.load(name), decimal)
+    first, last = SemidefiniteProgram(problem), SemidefiniteProgram(problem, problem.n - 1)
+    aimed, alpha = first.aimed_at(problem.n - 1), 0.1 * first.fastest
+    for mine, made in zip(aimed.numbers(alpha), last.numbers(alpha), strict=True):
+        assert (mine == made).all()
+    mine, made = aimed.solve(alpha), last.solve(alpha)
+    assert mine.bound == made.bound != first.solve(alpha).bound
+    assert (mine.P == made.P).all() and (aimed.floor[1] == last.floor[1]).all()
+
+
+def test_the_columns_of_a_program_are_its_inequality():
+    """Each variable's column against the inequality with this variable alone, for two alphas."""
+    problem = error_problem(certrack.load("example1"), decimal)
+    program = SemidefiniteProgram(problem)
+    scaled, rng = program.scaling.applied(problem), np.random.default_rng(3)
+    for alpha in (0.0, 0.7):
+        rate = program.scaling.rate(alpha)
+        x = rng.normal(size=len(program.entries) + sum(problem.counts))
+        P, (lam, nu, k) = program.parts(x)
+        base, slope = program.inequality
+        expected = svec(scaled.inequality(P, lam, nu, k, rate))
+        assert base @ x + rate * (slope @ x) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_program_in_its_own_units_that_fails_is_solved_with_the_solver_s(monkeypatch):
+    problem = error_problem(certrack.load("example1"), decimal)
+    real, asked = semidefinite._clarabel, []
+
+    def without_luck(*numbers, equilibrate=True):
+        asked.append(equilibrate)
+        return real(*numbers) if equilibrate else None
+
+    monkeypatch.setattr(semidefinite, "_clarabel", without_luck)
+    program = SemidefiniteProgram(problem, 0, Scaling.of(problem).alone())
+    alpha = 0.1 * program.fastest
+    assert program.solve(alpha).bound == SemidefiniteProgram(problem).solve(alpha).bound
+    assert asked == [False, True, True]
 
 
 def test_a_warm_certificate_is_as_good_and_as_proven():
