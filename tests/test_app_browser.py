@@ -143,9 +143,12 @@ def test_responses_are_drawn_with_their_bound_if_that_comes_soon(shown):
       together.run(4, false); await pause(60); counts.push(draws.length);  // it does not come
       together.bound(4); counts.push(draws.length);
       together.run(5, false); counts.push(draws.length);  // nor is it waited for again
+      together.bound(5); together.run(6, false); counts.push(draws.length);  // until one is soon
+      together.run(7, false); together.bound(6); counts.push(draws.length);
+      together.run(8, false); counts.push(draws.length);  // not while they lag behind the moves
       return counts;
     })()"""
-    assert shown().evaluate(drawn) == [0, 1, 1, 2, 3, 4, 5]
+    assert shown().evaluate(drawn) == [0, 1, 1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_a_second_drag_moves_as_the_first_did(shown):

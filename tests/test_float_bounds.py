@@ -238,6 +238,18 @@ def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(solved):
         assert warm.cascade.problems[0].adaptation.shift == warm.cascade.shift
 
 
+def test_an_estimate_has_no_centred_stage_where_the_proof_has_none():
+    """The exact enclosure knows no power of |x2|, which may be zero; floats do."""
+    example = certrack.load("example1")
+    plant = replace(example.plant, drift="0.1*abs(x2)**1.3")
+    system = example.replace(plant=plant)
+    near = certrack.estimate(system)
+    assert near.cascade.centred is None
+    assert near.bound == pytest.approx(certrack.certify(system, "fast").best.bound, rel=1e-3)
+    moved = system.replace(law=replace(system.law, c=tuple(1.02 * v for v in system.law.c)))
+    assert certrack.estimate(moved, warm=near, accuracy=1e-4).cascade.centred is None
+
+
 @pytest.mark.parametrize("name", ["example1", "theorem1-counterexample"])
 def test_a_program_that_is_aimed_elsewhere_is_the_one_made_for_there(name):
     problem = error_problem(certrack.load(name), decimal)

@@ -128,8 +128,13 @@ def _header_size(data: bytes) -> int:
 def _json(header: Mapping[str, Any]) -> str:
     """The text of a header; one that is ready is not walked through before."""
 
+    def ready(value: Any) -> Any:
+        if (converted := json_ready(value)) is value:
+            raise TypeError(f"no part of a header: {type(value).__name__}")
+        return converted
+
     def text(value: Any) -> str:
-        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=json_ready)
+        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=ready)
 
     try:
         return text(header)

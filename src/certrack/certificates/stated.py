@@ -107,9 +107,9 @@ def _compared_with_its_equations(system: System) -> KnownParameters | EstimatedP
     equations = law.equations(signals)
     for what in _disagreements(stated, equations, signals):
         raise NoCertificate(_refusal(system, what))
-    values = _exact_values(signals, law.parameters(plant))
-    _compare_controller(system, equations, signals, values)
+    _compare_controller(system, equations, signals)
     _compare_recursion(system)
+    values = _exact_values(signals, law.parameters(plant))
     exact = _with_values(stated, values)
     if isinstance(exact, KnownParameters):
         _compare_parameters(system, exact)
@@ -157,9 +157,7 @@ def _refusal(system: System, what: str) -> str:
     )
 
 
-def _compare_controller(
-    system: System, equations: Equations, bare: Signals, values: Mapping[sympy.Symbol, Any]
-) -> None:
+def _compare_controller(system: System, equations: Equations, bare: Signals) -> None:
     """Refuse a law whose controller has other formulas or numbers than the law's own."""
     law, plant, controller = system.law, system.plant, system.controller
     full = Signals(plant, bare.q, integral=law.integral is not None)
@@ -175,7 +173,7 @@ def _compare_controller(
         if name not in runs or not _is_with(*parts, runs[name], sympy.sympify(formula)):
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
     used = dict(zip(controller.symbols, controller.values, strict=True))
-    for name, value in values.items():
+    for name, value in _exact_values(bare, law.parameters(plant)).items():
         if used.get(name) != float_of(value):
             raise NoCertificate(_refusal(system, f"what runs with {name} has another number"))
 

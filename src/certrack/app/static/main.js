@@ -129,12 +129,13 @@ function problem(header, { design, view, revision }) {
 
 /** No bound: what is proven already stays, with the reason why there is nothing finer. */
 function unproven({ of: what, message, effort, superseded }, design) {
+  if (what === "bound") together.answered(design);
   if (superseded || design !== state.design) return;
   const { bound } = state, proven = bound?.exact && bound.design === design;
   if (proven && (what === "bound" || effort !== "fast")) {
     if (what === "exact") state.bound = { ...bound, refining: false, unrefined: message };
   } else state.bound = { bound: null, text: "none", reason: message, design, exact: what === "exact", premises: [], certificates: [] };
-  frame();
+  together.now();
 }
 
 /** The user chooses what becomes of another file where the design was to be saved. */
@@ -197,7 +198,7 @@ function exact(header, design) {
   if (state.before?.design === design) Object.assign(state.before, { bound: state.bound, fast: fastOf(design) });
   write(byId("announce"), header.contradicted.length ? "A premise is contradicted: no certified bound" : header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
   if (state.run) responses.describe(state.system, state.run, state.bound);
-  frame();
+  together.now();
 }
 
 function zoom(low, high = null) {

@@ -19,8 +19,14 @@ export class Together {
 
   /** The bound of a design has come. */
   bound(design) {
-    if (this.came?.design === design) this.late = performance.now() - this.came.at;
+    this.answered(design);
     this.now();
+  }
+
+  /** It has come, or there is none: so late, or after the responses of a newer design. */
+  answered(design) {
+    if (this.came?.design === design) this.late = performance.now() - this.came.at;
+    else if (this.came?.design > design) this.late = Infinity;
   }
 
   now() {

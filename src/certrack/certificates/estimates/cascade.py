@@ -15,13 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from certrack.certificates.arithmetic import decimal
+from certrack.certificates.arithmetic import decimal, rational
 from certrack.certificates.cascade import SHIFT_DIGITS, head_problem
+from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
 from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
-from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.exact import Proof
+from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.search.decay_rate import (
     NEARBY_SLOPE_ACCURACY,
@@ -38,6 +40,9 @@ SHIFT_RATIO = 1.06
 
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
+
+#: Digits of the floats that stand for a proof.
+STAGE_DIGITS = 13
 
 
 @dataclass(frozen=True)
@@ -164,9 +169,13 @@ def _centred(
     if quick and near is not None and known is None:
         return None
     problem, target = program.problem, program.problem.n - 1
-    design = problem, error_coordinates(system, decimal)
     try:
-        problems = CentredStage.of(system).problems(design, reached.P, reached.bound)
+        if quick and near is not None:
+            design = problem, error_coordinates(system, decimal)
+            problems = CentredStage.of(system).problems(design, reached.P, reached.bound)
+        else:  # the exact enclosure knows fewer formulas: what it does not know is not proven
+            exact = error_problem(system, rational)
+            problems = CentredProblems.of(system, exact, _as_proof(reached)).in_floats()
     except NoCertificate:
         return None
     if not math.isfinite(problems.remainder):
@@ -190,6 +199,17 @@ def _centred(
         if best is not None:
             entries.append((best, shift, centred))
     return min(entries, key=lambda entry: entry[0].bound, default=None)
+
+
+def _as_proof(solution: Solution) -> Proof:
+    """Floats in the form of a proof, which they are none of."""
+
+    def text(value: float) -> str:
+        return f"{float(value):.{STAGE_DIGITS}g}"
+
+    rows = tuple(tuple(map(text, row)) for row in np.asarray(solution.P))
+    lam, nu, k = (tuple(map(text, v)) for v in (solution.lam, solution.nu, solution.k))
+    return Proof(text(solution.alpha), rows, lam, nu, k, text(solution.bound))
 
 
 @dataclass(frozen=True)
