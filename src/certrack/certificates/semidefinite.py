@@ -127,16 +127,15 @@ class SemidefiniteProgram:
         units = self._units()
         base, slope = self.inequality = self._columns(units)
         identity = np.eye(len(self.entries) + sum(problem.counts))
-        unit = np.zeros((n, n))
-        unit[target, target] = 1.0
+        least = self._least(target)
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
         floor[:, : len(units)] = -svec(units).T
-        self.floor = floor, -svec(unit)
+        self.floor = floor, least
         multipliers = -identity[len(self.entries) :]
         self._base = np.vstack([base, floor, multipliers])
         self._slope = np.vstack([slope, np.zeros((len(floor) + len(multipliers), len(identity)))])
         self._right = np.concatenate(
-            [np.zeros(size * (size + 1) // 2), -svec(unit), np.zeros(len(multipliers))]
+            [np.zeros(size * (size + 1) // 2), least, np.zeros(len(multipliers))]
         )
         self._cones = [clarabel.PSDTriangleConeT(size), clarabel.PSDTriangleConeT(n)]
         if len(multipliers):
@@ -144,14 +143,18 @@ class SemidefiniteProgram:
 
     def aimed_at(self, target: int) -> SemidefiniteProgram:
         """The program of the same problem that bounds another e_i: it has most of its parts."""
-        other, n = copy(self), self.problem.n
-        unit = np.zeros((n, n))
-        unit[target, target] = 1.0
-        other.target, other.floor = target, (self.floor[0], -svec(unit))
+        other, least = copy(self), self._least(target)
+        other.target, other.floor = target, (self.floor[0], least)
         first = self._size * (self._size + 1) // 2
         other._right = self._right.copy()
-        other._right[first : first + len(other.floor[1])] = other.floor[1]
+        other._right[first : first + len(least)] = least
         return other
+
+    def _least(self, target: int) -> np.ndarray:
+        """The right side of P >= e_i e_i^T."""
+        unit = np.zeros((self.problem.n, self.problem.n))
+        unit[target, target] = 1.0
+        return -svec(unit)
 
     def _free_entries(self, n: int) -> list[tuple[int, int]]:
         """Entries (i <= j) of P that may be nonzero."""

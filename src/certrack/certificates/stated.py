@@ -170,7 +170,7 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
     ):
         raise NoCertificate(_refusal(system, "it has states that are not its own"))
     for name, formula in equations.formulas.items():
-        if name not in runs or not _is_with(*parts, runs[name], sympy.sympify(formula)):
+        if name not in runs or not _same_with_parts(*parts, runs[name], sympy.sympify(formula)):
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
     used = dict(zip(controller.symbols, controller.values, strict=True))
     for name, value in _exact_values(bare, law.parameters(plant)).items():
@@ -179,7 +179,7 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
 
 
 @lru_cache(maxsize=MAX_COMPARISONS)
-def _is_with(
+def _same_with_parts(
     symbols: tuple[sympy.Symbol, ...],
     parts: tuple[sympy.Expr, ...],
     formula: sympy.Expr,

@@ -111,7 +111,7 @@ class Signals:
 
 @lru_cache(maxsize=MAX_FORMULAS)
 def _inner(a: tuple[sympy.Symbol, ...], b: tuple[sympy.Symbol, ...]) -> sympy.Expr:
-    """The same of symbols: a law that is made again for other gains has the same formulas."""
+    """Inner product of symbols: a law that is made again for other gains has the same formulas."""
     return dot(a, b)
 
 

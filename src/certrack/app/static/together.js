@@ -29,6 +29,7 @@ export class Together {
     else if (this.came?.design > design) this.late = Infinity;
   }
 
+  /** Draw what has come: nothing is waited for any more. */
   now() {
     clearTimeout(this.timer);
     this.timer = null;

@@ -135,7 +135,7 @@ def solution_nearby(
     alpha: float | None,
     accuracy: float,
 ) -> tuple[Solution | None, RiccatiState | None]:
-    """The same of a problem: by its Riccati equation, where it has no estimates, and its state.
+    """The same of a problem without estimates: by its Riccati equation, and its state.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def solution_nearby(
     accuracy : float
         There, what log bound^2 may be above the lowest.
     """
-    quick = riccati_estimate(problem, state) if problem.adaptation is None else None
+    quick = riccati_estimate(problem, state)
     if quick is not None:
         return quick.solution, quick.state
     return rate_nearby(SemidefiniteProgram(problem), alpha, accuracy), None
