@@ -40,7 +40,7 @@ FALSE = {
     ),
     "silent": ("exit 4", "failed: exit code 4"),
     "lying": ("exit 0", "reported success but wrote no file"),
-    "hanging": ("sleep 60 & echo $! > {folder}/sleeper; wait", "took longer than 0.5 s"),
+    "hanging": ("sleep 600 & echo $! > {folder}/sleeper; wait", "took longer than 0.5 s"),
     "wrong": ("shift $(($# - 1)); echo text > $1", "what the C compiler built cannot be loaded: "),
 }
 
@@ -154,7 +154,7 @@ class TestRun:
         begin = time.monotonic()
         with pytest.raises(CompilerError) as refused:
             build(SOURCES, FLAGS, timeout=0.5)
-        assert time.monotonic() - begin < 20
+        assert time.monotonic() - begin < 300  # not until the sleeper ends
         said = str(refused.value)
         assert "\n" not in said
         if kind == "wrong":

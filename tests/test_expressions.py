@@ -1,13 +1,13 @@
 """Expressions: the white list, the size bounds, and the meaning."""
 
 import math
-import time
 
 import numpy as np
 import pytest
 import sympy
 from hypothesis import given
 from hypothesis import strategies as st
+from pace import within
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, Expression, parse, symbol
@@ -66,10 +66,8 @@ HOSTILE = {
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())
 def test_hostile_text_is_refused_quickly_in_one_line(text):
-    begin = time.perf_counter()
-    with pytest.raises(InputError) as caught:
+    with within(5), pytest.raises(InputError) as caught:  # refused, not computed
         parse("plant.drift", text, ["x1", "t"])
-    assert time.perf_counter() - begin < 5  # refused, not computed
     message = str(caught.value)
     assert message.startswith("plant.drift: ")
     assert "\n" not in message
@@ -82,10 +80,8 @@ LATER = {"unknown name", "nan", "variable exponent"}
 
 @pytest.mark.parametrize("name", [name for name in HOSTILE if name not in LATER])
 def test_hostile_text_is_refused_also_where_any_name_may_occur(name):
-    begin = time.perf_counter()
-    with pytest.raises(InputError):
+    with within(5), pytest.raises(InputError):
         parse("truth.omega[0]", HOSTILE[name], None)
-    assert time.perf_counter() - begin < 5
 
 
 def test_names_may_be_checked_later():

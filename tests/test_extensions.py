@@ -4,7 +4,6 @@ import dataclasses
 import re
 import shutil
 import subprocess
-import time
 from dataclasses import dataclass
 
 import extensions
@@ -13,6 +12,7 @@ import pytest
 import scipy.stats
 import sympy
 from extensions import SYSTEMS, PrescribedPerformance, Spline, dynamic_surface
+from pace import within
 
 import certrack
 from certrack import laws, references
@@ -530,10 +530,8 @@ def test_different_members_are_not_compared():
 
 
 def test_a_thousand_pairs_take_two_seconds():
-    """Of processor time, all threads together: the machine may be busy with other things."""
-    clock = time.process_time()
-    assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
-    assert time.process_time() - clock < 2.0
+    with within(2):
+        assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
 
 
 def test_members_of_chunks_on_disk_are_in_the_table(tmp_path):

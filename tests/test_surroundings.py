@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pace import too_long
 
 import certrack
 from certrack.core.expressions import symbol
@@ -205,8 +206,8 @@ def bare(tmp_path_factory):
     return made
 
 
-#: Main commands, what they say of their engine, and the seconds of this machine's processor that
-#: they may take: 3 times what they took.
+#: Main commands, what they say of their engine, and the seconds of processor time that they may
+#: take: 3 times what they took.
 WITHOUT = {
     "simulate": (("simulate", "example1", "--json"), "using SciPy", 30),
     "sampled": (("simulate", "dual-motor-drive", "--json"), "", 60),
@@ -247,7 +248,7 @@ def test_every_command_works_without_heyoka_and_compiler(name, bare, tmp_path):
     assert done.returncode == 0, done.stderr
     assert note in done.stderr
     assert json.loads(done.stdout)
-    assert after.ru_utime - before.ru_utime < seconds
+    assert not too_long(after.ru_utime - before.ru_utime, seconds)
 
 
 @pytest.mark.slow

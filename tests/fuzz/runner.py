@@ -21,19 +21,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from pace import too_long
+
 try:
     import resource
 except ImportError:  # Windows
     resource = None
 
-#: No input may take longer, s, or more memory than the process has when it begins, MB.
+#: No input may take longer, s (see :mod:`pace`), or more memory than the process has when it
+#: begins, MB.
 MAX_SECONDS, MAX_MEGABYTES = 2.0, 1000
 
-#: An input is broken off after so many times the limit.
-PATIENCE = 5
-
-#: Where the coverage of lines is measured everything takes about so many times as long.
-UNDER_TRACE = 3
+#: An input is broken off after so many times the limit, on whatever machine and under a trace.
+PATIENCE = 15
 
 
 #: What happened to a system that was simulated, which may take any time.
@@ -109,9 +109,8 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
 def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
     """The word for what happened to one input, and the processor time that the product took, s."""
     begin, spent = time.process_time(), None
-    limit = MAX_SECONDS * (UNDER_TRACE if sys.gettrace() else 1)
     try:
-        with alarm(PATIENCE * limit):
+        with alarm(PATIENCE * MAX_SECONDS):
             word = fuzzer.examine(data)
             spent = time.process_time() - begin
             if not isinstance(word, str):
@@ -126,7 +125,7 @@ def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
         spent = time.process_time() - begin
     if word == UNTIMED:
         return word, 0.0
-    if spent > limit and word != SEARCHED and not word.startswith("FINDING"):
+    if word != SEARCHED and not word.startswith("FINDING") and too_long(spent, MAX_SECONDS):
         word = f"FINDING: slow, {word}"
     return word, spent
 
