@@ -1,11 +1,14 @@
 """The designer in a real browser: what is done with it, by mouse, keys and text."""
 
+import json
+import math
 import os
 import re
 import shutil
 import time
 
 import app_page
+import numpy as np
 import pytest
 from app_client import PATIENCE, running
 from app_page import EXACT, at_rest, opened, wait
@@ -149,6 +152,47 @@ def test_responses_are_drawn_with_their_bound_if_that_comes_soon(shown):
       return counts;
     })()"""
     assert shown().evaluate(drawn) == [0, 1, 1, 2, 3, 4, 5, 6, 7, 8]
+
+
+#: Curves on a plot of 700 by 100 pixels as corners of the path that is drawn, beside their points.
+TRACED = """(async (rows) => {
+  const { line, strip } = await import("./curves.js");
+  window.Path2D = class {
+    corners = [];
+    moveTo(x, y) { this.corners.push([x, y, true]); }
+    lineTo(x, y) { this.corners.push([x, y, false]); }
+  };
+  const plain = { valToPct: (value) => value };
+  const u = { bbox: { left: 0, top: 0, width: 700, height: 100 }, scales: { x: plain, y: plain } };
+  const t = rows[0].map((_, i) => i / (rows[0].length - 1));
+  return [...rows.map((row) => line(u, t, row).corners), strip(u, t, rows[0], rows[1]).corners];
+})"""
+
+
+def test_points_that_a_curve_does_without_lie_on_it(shown):
+    """To a tenth of a pixel; peaks, jumps and gaps stay."""
+    rng, count = np.random.default_rng(3), 1401
+    t = np.linspace(0, 1, count)
+    smooth, jumps = 0.5 + 0.4 * np.sin(9 * t), (t > 0.3) * 0.6 + 0.1
+    noise, spike = rng.uniform(0, 1, count), np.where(np.arange(count) == 700, 0.9, 0.2)
+    gaps = [None if 300 <= i < 310 or i == 500 else v for i, v in enumerate(smooth.tolist())]
+    rows = [smooth, jumps, noise, spike, np.cumsum(rng.normal(0, 0.01, count)) % 1, gaps]
+    page = shown()
+    found = page.evaluate(TRACED + f"({json.dumps([list(row) for row in rows])})")
+    for row, corners in zip(rows, found[:-1], strict=True):
+        values = np.array([math.nan if value is None else value for value in row])
+        there = np.flatnonzero(np.isfinite(values))
+        x, y, begins = np.array(corners).T
+        drawn = np.interp(700 * t[there], x, y)
+        assert np.abs(drawn - 100 * (1 - values[there])).max() <= 0.1 + 1e-9
+        assert sum(begins) == 1 + np.count_nonzero(np.diff(there) > 1)
+    assert len(found[0]) < 150 and len(found[1]) == 4 and len(found[3]) == 5
+    assert len(found[2]) > 0.9 * count
+    x, y, begins = np.array(found[-1]).T
+    assert sum(begins) == 1 and begins[0]
+    area = abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) / 2
+    exact = np.trapezoid(100 * (smooth - jumps), 700 * t)  # signed, as the path is
+    assert area == pytest.approx(abs(exact), abs=700 * 0.2)
 
 
 def test_a_second_drag_moves_as_the_first_did(shown):
@@ -650,8 +694,8 @@ def test_a_name_of_the_user_is_text_on_the_page(shown, server):
     assert page.evaluate("window.pwned === undefined && !document.querySelector('img')")
 
 
-def test_a_drag_is_answered_in_time(shown):
-    """The figures of a quiet machine stand in docs/designer.md; this limit is for a busy one."""
+def test_a_drag_is_answered_while_it_goes_on(shown):
+    """How soon, on a quiet machine, stands in docs/designer.md."""
     page = shown(query="&measure")
     box = page.locator('[data-path="law.c[0]"]').bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 13)
@@ -659,13 +703,14 @@ def test_a_drag_is_answered_in_time(shown):
     for k in range(120):
         page.mouse.move(box["x"] + box["width"] / 2 + 30 * ((k % 40) / 20 - 1), box["y"] + 13)
         time.sleep(0.016)
+    answered = page.evaluate("lab.paints.times.length")
     page.mouse.up()
     at_rest(page)
     times = sorted(page.evaluate("lab.paints.times"))
     assert len(times) > 60 and not page.evaluate("Boolean(lab.paints.decreased)")
     median, late = times[len(times) // 2], times[int(0.95 * len(times))]
     print(f"{len(times)} moves painted: median {median:.0f} ms, 95 % {late:.0f} ms")
-    assert median < 1000
+    assert answered > len(times) / 2
 
 
 def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path):

@@ -1,5 +1,6 @@
 // One plot: header with title, unit and the values under the cursor; curves, limits and regions on a canvas.
 import uPlot from "./vendor/uPlot.js";
+import { line, strip } from "./curves.js";
 import { drawing, element, token, write } from "./dom.js";
 import { Handles } from "./handles.js";
 import { format, minus, nameElement, tick } from "./numbers.js";
@@ -73,8 +74,7 @@ export class Plot {
         height: Math.max(40, this.box.clientHeight),
         padding: [8, 14, spec.last ? 0 : 4, 0],
         legend: { show: false },
-        series: [{}, ...spec.series.map((series) => ({ stroke: token(series.color), width: series.width ?? 1.5, dash: series.dash, points: { show: false }, pxAlign: 0, scale: "y" }))],
-        bands: spec.bands?.map(({ of, color }) => ({ series: of, fill: color ? token(color) : this.colors.tube })),
+        series: [{}, ...spec.series.map((series) => ({ stroke: token(series.color), width: series.width ?? 1.5, dash: series.dash, points: { show: false }, pxAlign: 0, scale: "y", paths: (u, k, first, last) => ({ stroke: line(u, u.data[0], u.data[k], first, last), flags: 0 }) }))],
         scales: { x: { time: false, range: () => this.on.window() }, y: this.scale() },
         axes: [
           { ...axis, size: spec.last ? 32 : 0, gap: 3, ticks: { ...axis.ticks, show: Boolean(spec.last) }, values: (u, splits) => (spec.last ? splits.map((value, i) => (i === splits.length - 1 ? `${tick(value)} s` : tick(value))) : []) },
@@ -164,33 +164,23 @@ export class Plot {
     if (note) this.small.append(` ${note}`);
   }
 
+  /** Regions, and curves of other runs. */
   behind(u) {
-    for (const ghost of this.spec.ghosts?.(this) ?? []) this.curve(u, ghost);
-  }
-
-  curve(u, { t, y, color, width = 1.5, dash = [] }) {
-    const context = u.ctx, ratio = devicePixelRatio, log = this.mode === "log";
+    const context = u.ctx, log = this.mode === "log";
     context.save();
     context.beginPath();
     context.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
     context.clip();
-    context.beginPath();
-    context.strokeStyle = token(color);
-    context.lineWidth = width * ratio;
-    context.setLineDash(dash.map((d) => d * ratio));
-    let pen = false;
-    for (let i = 0; i < t.length; i += 1) {
-      const value = log ? Math.abs(y[i]) : y[i];
-      if (!Number.isFinite(value) || (log && value <= 0)) {
-        pen = false;
-        continue;
-      }
-      const at = [u.valToPos(t[i], "x", true), u.valToPos(value, "y", true)];
-      if (pen) context.lineTo(...at);
-      else context.moveTo(...at);
-      pen = true;
+    for (const { of: [high, low], color } of this.spec.bands ?? []) {
+      context.fillStyle = color ? token(color) : this.colors.tube;
+      context.fill(strip(u, u.data[0], u.data[high], u.data[low]));
     }
-    context.stroke();
+    for (const { t, y, color, width = 1.5, dash = [] } of this.spec.ghosts?.(this) ?? []) {
+      context.strokeStyle = token(color);
+      context.lineWidth = width * devicePixelRatio;
+      context.setLineDash(dash.map((d) => d * devicePixelRatio));
+      context.stroke(line(u, t, log ? y.map(Math.abs) : y));
+    }
     context.restore();
   }
 
