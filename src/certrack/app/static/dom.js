@@ -49,6 +49,20 @@ export function attribute(target, name, value) {
 /** A colour or length of the theme. */
 export const token = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+/** Call `work` with one call in `interval` ms, at once if it is `urgent`, and so long after the last. */
+export function spaced(work, interval) {
+  let timer, last = -Infinity;
+  const now = () => {
+    last = performance.now();
+    work();
+  };
+  return (urgent) => {
+    clearTimeout(timer);
+    if (urgent || performance.now() - last >= interval) now();
+    else timer = setTimeout(now, interval);
+  };
+}
+
 /** Call `work` once, `delay` ms after the last call. */
 export function settled(work, delay) {
   let timer;

@@ -48,7 +48,7 @@ export class Guarantee {
   }
 
   draw() {
-    const { bound, run, system, worst, design, before } = this.state;
+    const { bound, run, system, worst, design } = this.state;
     if (!system || !run) return;
     const kind = this.kind, unit = system.units[0], header = run.header;
     this.badge(kind);
@@ -61,7 +61,6 @@ export class Guarantee {
     const now = worst && worst.design === design ? worst : null;
     this.ladder(header, now, bound, worst && !now);
     this.alarm(now, bound, unit);
-    this.measures(system, header, bound, before);
     style(byId("facts"), bound?.exact ? "rows" : "rows old");
     const runKind = byId("run-kind");
     runKind.hidden = !system.drive;
@@ -135,6 +134,13 @@ export class Guarantee {
     body.rows[0].cells[1].title = before?.bound?.effort === "fast" ? "by the fast proof: the finer one had not come" : "";
     const same = before?.run?.header.sampled === header.sampled;
     names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
+  }
+
+  /** Measures, and where the bound comes from. */
+  tables() {
+    const { bound, run, system, before } = this.state;
+    this.measures(system, run.header, bound, before);
+    this.budget(bound);
   }
 
   /** All that only an exact result tells: rows are kept where they do not change. */

@@ -1,6 +1,6 @@
 // The page: what changes the design, and what is drawn of it once per frame.
 import { Designs } from "./designs.js";
-import { byId, settled, write } from "./dom.js";
+import { byId, settled, spaced, write } from "./dom.js";
 import { Editor } from "./editor.js";
 import { Files, recent } from "./files.js";
 import { Form } from "./form.js";
@@ -23,7 +23,7 @@ import { Texts } from "./texts.js";
 import { beginTheme, switchTheme } from "./theme.js";
 import { Together } from "./together.js";
 
-const REST = 120, RESIZED = 200;
+const REST = 120, RESIZED = 200, READABLE = 100;
 
 const paints = new Paints(new URLSearchParams(location.search).has("measure"));
 const together = new Together(frame);
@@ -231,7 +231,15 @@ function draw() {
   responses.draw();
   guarantee.draw();
   tasks.freshen();
-  guarantee.budget(state.bound);
+  showTables(state.bound?.exact);
+}
+
+/** Numbers that change faster than they are read cost a layout of the page each time. */
+const showTables = spaced(tables, READABLE);
+
+function tables() {
+  if (!state.system || !state.run) return;
+  guarantee.tables();
   const { header } = state.run, parts = [`run ${header.ms.toFixed(1)} ms`];
   if (state.boundTime !== undefined) parts.push(`bound ${Math.round(state.boundTime)} ms`);
   if (state.exactTime !== undefined) parts.push(`exact ${Math.round(state.exactTime)} ms`);

@@ -170,10 +170,9 @@ export class Slider {
 
   show() {
     const at = 100 * this.share(Math.abs(this.value)), base = 100 * Math.min(1, Math.max(0, this.share(Math.abs(this.base))));
-    this.knob.style.left = `${at}%`;
+    this.knob.style.transform = `translateX(${at}cqw)`; // which needs no layout of the page
+    this.fill.style.transform = `translateX(${Math.min(at, base)}cqw) scaleX(${Math.abs(at - base) / 100})`;
     this.mark.style.left = `${base}%`;
-    this.fill.style.left = `${Math.min(at, base)}%`;
-    this.fill.style.width = `${Math.abs(at - base)}%`;
     if (document.activeElement !== this.field) this.field.value = format(this.value);
     const ends = [this.low, this.high].map((size) => Number((this.sign * size).toPrecision(4))).sort((a, b) => a - b);
     attribute(this.track, "aria-valuemin", ends[0]);
