@@ -6,6 +6,7 @@ import { Handles } from "./handles.js";
 import { format, minus, nameElement, tick } from "./numbers.js";
 
 const LEFT = 62, GRIP = 36, FONT = "11px Inter, system-ui, sans-serif", CURSOR = "certrack";
+const magnitude = (value) => (value === null ? null : Math.abs(value)); // a gap stays one
 const isDecade = (value) => Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-9;
 
 export class Plot {
@@ -179,7 +180,7 @@ export class Plot {
       context.strokeStyle = token(color);
       context.lineWidth = width * devicePixelRatio;
       context.setLineDash(dash.map((d) => d * devicePixelRatio));
-      context.stroke(line(u, t, log ? y.map(Math.abs) : y));
+      context.stroke(line(u, t, log ? y.map(magnitude) : y));
     }
     context.restore();
   }
