@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,11 +38,41 @@ from certrack.systems.system import System
 #: Beside a shift from nearby, one so much smaller and larger is tried where it ends at a kink.
 SHIFT_RATIO = 1.06
 
+#: A quick look follows a centred stage that lowers the bound of e_n by at least this part; another
+#: one once that bound has moved by so much since the stage was tried.
+LEAST_WORTH, RETRIED = 3e-3, 0.03
+
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
 
 #: Digits of the floats that stand for a proof.
 STAGE_DIGITS = 13
+
+
+@dataclass(frozen=True)
+class KnownStage:
+    """The centred stage where it was tried last.
+
+    Attributes
+    ----------
+    shift : float
+        kappa.
+    alpha : float, 1/s
+    worth : float
+        The part by which it lowered the bound of e_n; 0 where it did not, or helped no one.
+    without : float
+        That bound without it.
+    """
+
+    shift: float
+    alpha: float
+    worth: float
+    without: float
+
+    def is_followed(self, last: Solution) -> bool:
+        """Whether a quick look tries it beside `last`, which bounds e_n without it."""
+        moved = abs(last.bound - self.without) > RETRIED * self.without
+        return self.worth > LEAST_WORTH or moved
 
 
 @dataclass(frozen=True)
@@ -61,6 +91,8 @@ class BestCascade:
         That of e_n which counts, and that of e_1.
     shift : float
         kappa of the centred stage; 0 without.
+    stage : KnownStage or None
+        What a quick look nearby needs of it.
     state : RiccatiState or None
         What a warm start of the head needs.
     """
@@ -70,12 +102,18 @@ class BestCascade:
     head: Solution
     problems: tuple[ErrorProblem, ErrorProblem]
     shift: float = 0.0
+    stage: KnownStage | None = None
     state: RiccatiState | None = None
 
     @property
     def of_last(self) -> Solution:
         """The solution that bounds e_n."""
         return self.last if self.centred is None else self.centred
+
+    def in_vain(self) -> BestCascade:
+        """The same where another method has a smaller bound: its centred stage helps no one."""
+        stage = None if self.stage is None else replace(self.stage, worth=0.0)
+        return replace(self, stage=stage)
 
 
 def best_cascade(
@@ -101,17 +139,24 @@ def best_cascade(
     last = rate_nearby(program.aimed_at(problem.n - 1), last_alpha, accuracy)
     if last is None:
         return None
+    quick = near is not None and accuracy > NEARBY_SLOPE_ACCURACY
     of_last, shift, centred = problem, 0.0, None
-    best_centred = _centred(system, program, last, near, accuracy)
-    if best_centred is not None and best_centred[0].bound < last.bound:
-        centred, shift, of_last = best_centred
+    stage = None if near is None else near.stage
+    if not quick or (stage is not None and stage.is_followed(last)):
+        best_centred = _centred(system, program, last, stage, accuracy, quick)
+        if best_centred is not None and best_centred[0].bound < last.bound:
+            centred, shift, of_last = best_centred
+            worth = 1 - centred.bound / last.bound
+            stage = KnownStage(shift, centred.alpha, worth, last.bound)
+        elif stage is not None:  # then all is searched where accuracy is asked for next
+            stage = replace(stage, worth=0.0, without=last.bound) if quick else None
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
     known, alpha = (None, None) if near is None else (near.state, near.head.alpha)
     head, state = solution_nearby(inner, known, alpha, accuracy)
     if head is None:
         return None
-    return BestCascade(last, centred, head, (of_last, inner), shift, state)
+    return BestCascade(last, centred, head, (of_last, inner), shift, stage, state)
 
 
 def rate_nearby(
@@ -157,20 +202,14 @@ def _centred(
     system: System,
     program: SemidefiniteProgram,
     reached: Solution,
-    near: BestCascade | None,
+    known: KnownStage | None,
     accuracy: float,
+    quick: bool,
 ) -> tuple[Solution, float, ErrorProblem] | None:
-    """The centred stage: by a full search, or beside the shift that is known from nearby.
-
-    Where little accuracy will do none is sought that is not known.
-    """
-    quick = accuracy > NEARBY_SLOPE_ACCURACY
-    known = None if near is None or near.centred is None else (near.shift, near.centred.alpha)
-    if quick and near is not None and known is None:
-        return None
+    """The centred stage: by a full search, or beside the one that is known from nearby."""
     problem, target = program.problem, program.problem.n - 1
     try:
-        if quick and near is not None:
+        if quick:
             design = problem, error_coordinates(system, decimal)
             problems = CentredStage.of(system).problems(design, reached.P, reached.bound)
         else:  # the exact enclosure knows fewer formulas: what it does not know is not proven
@@ -181,12 +220,13 @@ def _centred(
     if not math.isfinite(problems.remainder):
         return None
     if known is not None:
-        nearby = best_shift_nearby(problems, *known, target, accuracy, program.scaling)
+        near = known.shift, known.alpha
+        nearby = best_shift_nearby(problems, *near, target, accuracy, program.scaling)
         if nearby is not None:
             kappa, solution = nearby
             return solution, kappa, problems.at(kappa)
         ratios = (1.0,) if quick else (1.0, SHIFT_RATIO, 1 / SHIFT_RATIO)
-        pairs = [(known[0] * ratio, known[1]) for ratio in ratios]
+        pairs = [(known.shift * ratio, known.alpha) for ratio in ratios]
     else:
         pairs = best_shifts(problems, reached.alpha, target, reached.bound)[:1]
     entries = []

@@ -122,8 +122,8 @@ def estimate(
         Of a system nearby: the searches begin where they ended there.
     accuracy : float
         With `warm`, by about which part the bound of a law with estimates may be above the least,
-        0.1 at most. A quick look (1e-4) takes a third of the time, and does not try a centred
-        stage that `warm` has no use for.
+        0.1 at most. A quick look (1e-4) takes a fraction of the time, and does not try a centred
+        stage that `warm` had little use for.
 
     Returns
     -------
@@ -198,6 +198,8 @@ def _nominal(system: System, warm: BoundEstimate | None, accuracy: float) -> Bou
         solution, state = rate_nearby(program, near, accuracy), None
         if problem.n > 1:
             stages = None if warm is None else warm.cascade
+            if warm is not None and stages is not None and warm.method != "cascade":
+                stages = stages.in_vain()
             cascade = best_cascade(system, program, stages, accuracy)
     if solution is not None:
         bounds["semidefinite"] = solution.bound
