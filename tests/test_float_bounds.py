@@ -10,6 +10,7 @@ from test_tuning import agree, random_system
 import certrack
 from certrack.certificates import semidefinite
 from certrack.certificates.arithmetic import decimal
+from certrack.certificates.estimates import cascade
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.formulation import error_problem
@@ -236,6 +237,36 @@ def test_a_warm_estimate_of_the_adaptive_law_takes_few_programs(solved):
         assert warm.bounds == pytest.approx(cold.bounds, rel=2e-6)
         assert warm.cascade.shift == pytest.approx(cold.cascade.shift, rel=0.02)
         assert warm.cascade.problems[0].adaptation.shift == warm.cascade.shift
+
+
+def test_a_quick_look_follows_a_centred_stage_that_is_worth_it(monkeypatch):
+    """One that is not is tried again when the bound of e_n has moved."""
+    system = certrack.load("example1")
+
+    def quick(factor, warm):
+        law = replace(system.law, c=tuple(factor * v for v in system.law.c))
+        moved = system.replace(law=law)
+        return certrack.estimate(moved, warm=warm, accuracy=1e-4), certrack.estimate(moved)
+
+    near = certrack.estimate(system)
+    stage = near.cascade.stage
+    assert stage.shift == near.cascade.shift and stage.without == near.cascade.last.bound
+    assert stage.worth == 1 - near.cascade.centred.bound / near.cascade.last.bound
+    followed, cold = quick(1.005, near)
+    assert followed.cascade.centred is not None
+    assert followed.bound == pytest.approx(cold.bound, rel=1e-4)
+    monkeypatch.setattr(cascade, "LEAST_WORTH", 1.0)
+    monkeypatch.setattr(cascade, "RETRIED", 1e-3)
+    idle, _ = quick(1.005, near)
+    assert idle.cascade.centred is None and idle.cascade.stage == stage
+    assert idle.bound > followed.bound
+    again, cold = quick(1.1, idle)
+    assert again.cascade.centred is not None and again.cascade.stage.worth > 0
+    assert again.bound == pytest.approx(cold.bound, rel=1e-3)
+    other, _ = quick(1.005, replace(near, method="semidefinite"))
+    assert other.cascade.centred is None and other.cascade.stage.worth == 0
+    exact = certrack.estimate(system, warm=other)
+    assert exact.cascade.shift == pytest.approx(near.cascade.shift, rel=0.02)
 
 
 def test_an_estimate_has_no_centred_stage_where_the_proof_has_none():
