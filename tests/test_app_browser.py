@@ -155,6 +155,23 @@ def test_responses_are_drawn_with_their_bound_if_that_comes_soon(shown):
     assert shown().evaluate(drawn) == [0, 1, 1, 2, 3, 4, 5, 6, 7, 8]
 
 
+def test_tables_are_written_at_once_or_a_moment_after_the_last_call(shown):
+    written = """(async () => {
+      const { spaced } = await import("./dom.js");
+      const pause = (ms) => new Promise((done) => setTimeout(done, ms)), counts = [];
+      let count = 0;
+      const write = spaced(() => (count += 1), 300), tell = () => counts.push(count);
+      write(); tell();  // nothing was written lately
+      write(); write(); tell();  // too soon
+      write(true); tell();  // urgent
+      await pause(500); tell();  // nothing is waiting
+      write(); write(); tell();
+      await pause(500); tell();  // the second one is not lost
+      return counts;
+    })()"""
+    assert shown().evaluate(written) == [1, 1, 2, 2, 3, 4]
+
+
 #: Curves on a plot of 700 by 100 pixels as corners of the path that is drawn, beside their points.
 TRACED = """(async (rows) => {
   const { line, strip } = await import("./curves.js");
