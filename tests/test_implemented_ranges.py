@@ -165,7 +165,7 @@ def test_no_member_beats_the_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_member_beats_the_bound_of_many_loops(seed):
     assert np.median(attacked_members(200 + seed, 8, 8)) < 2
 
