@@ -256,7 +256,7 @@ def test_a_quick_look_follows_a_centred_stage_that_is_worth_it(monkeypatch):
     assert followed.cascade.centred is not None
     assert followed.bound == pytest.approx(cold.bound, rel=1e-4)
     monkeypatch.setattr(cascade, "LEAST_WORTH", 1.0)
-    monkeypatch.setattr(cascade, "RETRIED", 1e-3)
+    monkeypatch.setattr(cascade, "TRIED_AGAIN", 1e-3)
     idle, _ = quick(1.005, near)
     assert idle.cascade.centred is None and idle.cascade.stage == stage
     assert idle.bound > followed.bound

@@ -40,7 +40,7 @@ SHIFT_RATIO = 1.06
 
 #: A quick look follows a centred stage that lowers the bound of e_n by at least this part; another
 #: one once that bound has moved by so much since the stage was tried.
-LEAST_WORTH, RETRIED = 3e-3, 0.03
+LEAST_WORTH, TRIED_AGAIN = 3e-3, 0.03
 
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
@@ -71,7 +71,7 @@ class KnownStage:
 
     def is_followed(self, last: Solution) -> bool:
         """Whether a quick look tries it beside `last`, which bounds e_n without it."""
-        moved = abs(last.bound - self.without) > RETRIED * self.without
+        moved = abs(last.bound - self.without) > TRIED_AGAIN * self.without
         return self.worth > LEAST_WORTH or moved
 
 
