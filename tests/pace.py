@@ -18,7 +18,6 @@ import certrack
 #: Processor time of a load of the starter file where the limits were written down, s.
 LOAD_SECONDS = 0.02
 
-
 #: The same on the slowest machine that is quick enough to measure the coverage of all tests, s.
 QUICK_LOAD_SECONDS = 0.014
 

@@ -180,8 +180,7 @@ TRACED = """(async (rows) => {
     moveTo(x, y) { this.corners.push([x, y, true]); }
     lineTo(x, y) { this.corners.push([x, y, false]); }
   };
-  const plain = { valToPct: (value) => value };
-  const u = { bbox: { left: 0, top: 0, width: 700, height: 100 }, scales: { x: plain, y: plain } };
+  const u = { valToPos: (value, scale) => (scale === "x" ? 700 * value : 100 * (1 - value)) };
   const t = rows[0].map((_, i) => i / (rows[0].length - 1));
   return [...rows.map((row) => line(u, t, row).corners), strip(u, t, rows[0], rows[1]).corners];
 })"""

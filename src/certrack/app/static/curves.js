@@ -42,8 +42,7 @@ class Pen {
 
 /** Where numbers stand on the canvas of a uPlot. */
 function positions(u) {
-  const { left, top, width, height } = u.bbox, { x, y } = u.scales;
-  return [(value) => left + width * x.valToPct(value), (value) => top + height * (1 - y.valToPct(value))];
+  return ["x", "y"].map((scale) => (value) => u.valToPos(value, scale, true));
 }
 
 const drawn = (value) => value !== null && Number.isFinite(value);

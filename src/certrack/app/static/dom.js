@@ -49,7 +49,7 @@ export function attribute(target, name, value) {
 /** A colour or length of the theme. */
 export const token = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** Call `work` with one call in `interval` ms, at once if it is `urgent`, and so long after the last. */
+/** Call `work` at once if it is urgent or was not called for `interval` ms; else that long after it is asked for last. */
 export function spaced(work, interval) {
   let timer, last = -Infinity;
   const now = () => {
