@@ -2,7 +2,7 @@
 # make test   checks style, types and behaviour; COVERAGE=--cov measures coverage too
 # make slow   runs the slow tail of the tests
 # make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
-# make hunt   gives the property tests other random examples than every other run had
+# make hunt   gives the property tests other random examples than every other run had, and many more
 # make docs   measures the figures of its comparison of laws, and builds the site, in build/site
 # make bench  measures speed, as ratios within one run
 # make bench-compare BASE=main compares the speed of this tree with that of a commit
@@ -35,7 +35,7 @@ fuzz: .venv/tested
 
 .PHONY: hunt
 hunt: .venv/tested
-	nice -n 10 $(BIN)/pytest -n 2 -m hypothesis --hypothesis-profile=hunt
+	nice -n 10 $(BIN)/pytest -n 2 -m "hypothesis or search" --hypothesis-profile=hunt
 
 .PHONY: docs
 docs: .venv/documented

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy
 from adaptive_plants import random_plant
+from depth import depth
 
 import certrack
 from certrack.certificates import to_document, verify
@@ -517,7 +518,8 @@ def test_what_has_no_bootstrap_says_why():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(5, 40)))
 def test_random_plants_keep_their_bound_and_both_checkers_agree(seed):
     system = random_plant(seed)
     certificate, stages = certify_bootstrap(system)

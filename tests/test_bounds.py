@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
+from depth import depth
 from flint import arb, fmpq
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -173,7 +174,7 @@ def test_no_accepted_short_signal_jumps_or_passes_its_bounds(text):
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=depth(60, 1000), deadline=None)
 @given(signals())
 def test_no_accepted_signal_jumps_or_passes_its_bounds(text):
     _check_if_accepted(text)

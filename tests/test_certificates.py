@@ -12,6 +12,7 @@ import flint
 import numpy as np
 import pytest
 from conftest import systems
+from depth import depth
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -372,7 +373,7 @@ def test_a_law_with_other_equations_is_refused():
 
 
 @pytest.mark.slow
-@settings(max_examples=25)
+@settings(max_examples=depth(6, 100))
 @given(systems(orders=st.integers(1, 4), kinds=("adaptive", "robust")))
 def test_falsified_error_never_exceeds_the_certificate(system):
     """Random plants and designs, hunted: the bound must hold."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from depth import depth
 from scipy.linalg import expm
 from test_ranges import attained, random_system
 
@@ -299,7 +300,8 @@ def test_margin_tells_the_drift(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3, 16))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(3, depth(8, 40)))
 def test_what_is_said_of_random_chains_is_not_beaten(seed):
     """Attained with a range closed, at the largest drift, and at the critical strength."""
     rng = np.random.default_rng([seed, 4])

@@ -9,6 +9,7 @@ a thousandth or so.
 
 import numpy as np
 import pytest
+from depth import depth
 from scipy import sparse
 from scipy.linalg import expm
 from scipy.optimize import linprog
@@ -106,7 +107,8 @@ def test_what_is_found_is_the_exact_worst_case(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3, 12))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(3, depth(6, 12)))
 def test_what_is_found_is_the_exact_worst_case_of_others(seed):
     system = random_third_order(seed)
     exact, found = exact_worst_case(system), falsify(system, budget=100)

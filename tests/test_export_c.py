@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import numbers, systems
+from depth import depth
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -307,7 +308,7 @@ def test_random_controllers_agree(tmp_path_factory, drawn):
 
 
 @pytest.mark.slow
-@batches(40)
+@batches(depth(8, 100))
 def test_many_random_controllers_agree(tmp_path_factory, drawn):
     agree(tmp_path_factory.mktemp("c"), drawn)
 

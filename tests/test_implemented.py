@@ -9,6 +9,7 @@ import flint
 import independent_checker
 import numpy as np
 import pytest
+from depth import depth
 from pace import within
 from sampled_attack import SampledLoop, worst_error
 
@@ -173,7 +174,8 @@ def test_no_attack_beats_the_bound_of_random_loops():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(2, 12)))
 def test_no_attack_beats_the_bound_of_many_random_loops(seed):
     assert np.median(attacked(100 + seed, 25)) <= 1.15
 
@@ -660,14 +662,20 @@ def test_rows_of_outputs_are_their_polynomials():
 # Another reading of the page ----------------------------------------------------------------------
 
 
-def by_both(system):
-    """The verdicts of `verify` and of the checker that was written from the page alone."""
+def proofs_that_agree(system):
+    """Proofs of which `verify` and the checker that was written from the page say the same."""
     _, proofs = certify_implemented(system)
     document = to_document(system, *proofs)
     assert verify(document).verified
     assert independent_checker.check(document) == independent_checker.decimal(
         max(proofs, key=lambda p: float(p.bound)).bound
     )
+    return proofs
+
+
+def by_both(system):
+    """Both checkers accept the proofs, and the other one refuses smaller claims."""
+    proofs = proofs_that_agree(system)
     smaller = [replace(p, bound=f"{float(p.bound) * 0.98:.12g}") for p in proofs]
     with pytest.raises(independent_checker.Refused):
         independent_checker.check(to_document(system, *smaller))
@@ -684,9 +692,9 @@ def test_another_checker_agrees():
 @pytest.mark.slow
 def test_another_checker_agrees_on_more():
     by_both(with_triangles(0.03))
-    by_both(certrack.load("dual-motor-drive"))
+    proofs_that_agree(certrack.load("dual-motor-drive"))
     rng, held = np.random.default_rng(11), 0
-    for _ in range(4):
+    for _ in range(depth(4, 40)):
         system, _, _ = random_drive(rng)
         if certify_implemented(system)[0].exists:
             by_both(system)

@@ -8,6 +8,7 @@ import flint
 import independent_checker
 import numpy as np
 import pytest
+from depth import depth
 from start_attack import worst_from
 from test_implemented import ENCODER, UNIT_W, bare_drive, command, on_a_drive, random_drive
 
@@ -94,7 +95,8 @@ def test_no_attack_beats_the_bounds_of_random_loops():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(1, 12)))
 def test_no_attack_beats_the_bounds_of_many_random_loops(seed):
     assert np.median(attacked(50 + seed, 25)) < 1.1
 

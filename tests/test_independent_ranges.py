@@ -9,6 +9,7 @@ import independent_checker
 import independent_ranges
 import numpy as np
 import pytest
+from depth import depth
 from test_independent_checker import accepted, signed, verified
 from test_ranges import case, random_system, seven_constants
 
@@ -170,7 +171,8 @@ def test_a_proof_at_the_centre_holds_by_both():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(20, 100)))
 def test_random_systems_agree(seed):
     system = random_system(np.random.default_rng([seed, 3]))
     try:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from depth import depth
 
 import certrack
 from certrack.certificates import best_sound_bound
@@ -219,7 +220,8 @@ def test_a_worst_point_inside_of_the_ranges_is_seen():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(4, 40)))
 def test_no_case_of_a_random_loop_is_beyond_its_bound(seed):
     system = random_loop(seed)
     case, bound = continuous_case(system, bounds_of(system)), best_sound_bound(system)

@@ -7,6 +7,7 @@ import flint
 import independent_checker
 import numpy as np
 import pytest
+from depth import depth
 from exported import PythonController, along_a_run
 from friction_axis import adaptive, pid_tail
 from observer_loops import with_estimates
@@ -374,7 +375,8 @@ def test_no_attack_beats_the_bound_of_random_loops():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(2, 12)))
 def test_no_attack_beats_the_bound_of_many_random_loops(seed):
     assert np.median(attacked(100 + seed, 12)) <= 1.25
 

@@ -8,6 +8,7 @@ import independent_checker
 import numpy as np
 import pytest
 import sympy
+from depth import depth
 from test_certificates import MUTANTS
 
 import certrack
@@ -608,7 +609,8 @@ def test_long_searches_do_not_exceed_the_bound(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(3, 24)))
 def test_searches_against_random_plants(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 5))
@@ -702,7 +704,8 @@ duration = 30
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(2, 12)))
 @pytest.mark.parametrize("coupling", ["", "coupling = 0.6", "coupling = 5"])
 def test_searches_against_random_adaptive_plants(seed, coupling):
     """What is claimed withstands; c_n beside a coupling is claimed nowhere."""

@@ -10,6 +10,7 @@ import flint
 import numpy as np
 import pytest
 import sympy
+from depth import depth
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad_vec
@@ -321,8 +322,9 @@ def test_bounds_of_the_joint_with_three_ranges():
     assert check_cells(system, bounds.cells, bound) == ""
 
 
+@pytest.mark.search
 @pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(s, marks=pytest.mark.slow) for s in range(3, 60))]
+    "seed", [*range(3), *(pytest.param(s, marks=pytest.mark.slow) for s in range(3, depth(20, 60)))]
 )
 def test_no_member_corner_or_reference_exceeds_a_bound(seed):
     rng = np.random.default_rng([seed, 2])

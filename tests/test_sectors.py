@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy
+from depth import depth
 from scipy.linalg import expm
 from varying_attack import VaryingLoop, Wave
 
@@ -225,7 +226,8 @@ def test_saved_and_checked(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(5, 40)))
 def test_no_run_exceeds_a_bound_of_sectors(seed):
     rng = np.random.default_rng([seed, 5])
     terms = [f"{rng.integers(-9, 10) / 10}*K*{f}" for f in rng.choice(SEARCHED, 2, replace=False)]
@@ -262,8 +264,9 @@ def switched_slopes(loop, rng):
     return float(output @ run[-1])
 
 
+@pytest.mark.search
 @pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 25))]
+    "seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, depth(8, 25)))]
 )
 def test_no_switching_slope_exceeds_a_bound_of_sectors(seed):
     """Of every proof: the smallest cells too, for slopes vary where constants stand still."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import sympy
+from depth import depth
 from scipy.optimize import brentq
 
 import certrack
@@ -350,7 +351,8 @@ def test_three_that_interact_are_refused_when_they_all_stick():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.search
+@pytest.mark.parametrize("seed", range(depth(2, 12)))
 def test_random_systems_are_the_limit_of_smooth_ones(seed):
     """One to two masses on springs with random friction, Stribeck's dip, moving belts, |x|."""
     draw = np.random.default_rng(seed)
