@@ -12,6 +12,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
+# Hundreds of processes load certrack here: from its sources alone that takes each twice as long.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test slow bench mutants keys clean
 
 demo: .venv/installed
