@@ -10,6 +10,8 @@
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
+# Each worker keeps to files of its own as long as it has some: what a file prepares is made once.
+WORKERS := $(BIN)/pytest -n 2 --dist worksteal
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 # Hundreds of processes load certrack here: from its sources alone that takes each twice as long.
@@ -27,10 +29,10 @@ test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow" $(COVERAGE)
+	$(WORKERS) -m "not slow" $(COVERAGE)
 
 slow: .venv/tested
-	$(BIN)/pytest -n 2 -m slow
+	$(WORKERS) -m slow
 
 .PHONY: fuzz
 fuzz: .venv/tested

@@ -287,7 +287,9 @@ def test_formulas_are_broken_between_terms():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_system_has_one(name):
-    made = certrack.dossier(certrack.load(name), name, effort="fast", members=12, budget=100)
+    few = {"effort": "fast", "members": 12, "budget": 100}
+    slow = ("margins",) * (name == "stiction")  # it sticks anew in most samples: minutes
+    made = certrack.dossier(certrack.load(name), name, without=slow, **few)
     assert len(to_html(made)) < 3e6
     assert Page(to_html(made)).tags.count("section") == len(made.sections)
 
