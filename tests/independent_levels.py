@@ -45,6 +45,13 @@ def whole_cell(loop, p):
     return h, E
 
 
+def ages_of(loop, p):
+    """Powers of the ages in the cell that begins there, one row for each derivative."""
+    h = whole_cell(loop, p)[0]
+    powers = [(loop.q - j, math.factorial(loop.q - j)) for j in range(loop.q + 1)]
+    return np.array([np.linspace(0, h, 2 * GRID + 1) ** k / whole for k, whole in powers])
+
+
 def where_the_error_is_zero(loop):
     """x = x_d, the memories of its samples after some time, and the inputs that follow.
 
@@ -86,15 +93,13 @@ def reference_part(loop, level, rows, of_Y, phase):
     Pi, D = level
     total = np.abs(rows @ Pi[phase] - of_Y) @ loop.Y[:-1]
     first, start, whole = True, np.abs(rows).max(), len(D)
-    orders = range(loop.q + 1)
+    cells = [(*whole_cell(loop, p * GRID), ages_of(loop, p * GRID)) for p in range(whole)]
     while np.abs(rows).max() >= 1e-11 * start:
         kernels = []
         for p in range(phase - 1, -1, -1):
-            h, E = whole_cell(loop, p * GRID)
+            h, E, Gamma = cells[p]
             motion = rows @ Pi[p + 1]
-            ages = np.linspace(0, h, 2 * GRID + 1)
-            Gamma = [[s ** (loop.q - j) / math.factorial(loop.q - j) for s in ages] for j in orders]
-            kernels.append((h / (2 * GRID), -motion @ np.array(Gamma)))
+            kernels.append((h / (2 * GRID), -motion @ Gamma))
             total = total + np.abs(rows @ D[p]) @ loop.Y[:-1]
             rows = rows @ E
         spread = 0 if first else (rows @ loop.R[:, -1])[:, None] / loop.T
