@@ -5,8 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from depth import depth
 
-KILLS = 50
+KILLS = depth(20, 200)
 
 #: Compiles once; then each run is a fork of its own, killed after a random time.
 PROGRAM = f"""
@@ -76,6 +77,7 @@ print(json.dumps({k: v for k, v in found.summary().items() if not k.startswith((
 
 
 @pytest.mark.slow
+@pytest.mark.search
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_killed_at_random_moments_it_resumes_to_the_same_bytes(tmp_path):
     done = subprocess.run(
