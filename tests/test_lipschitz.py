@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from depth import depth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -231,7 +232,7 @@ def test_no_sample_of_a_formula_is_steeper(reference):
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=depth(25, 300), deadline=None)
 @given(kinked())
 def test_no_sample_of_many_formulas_is_steeper(reference):
     check_against_samples(reference)
