@@ -102,7 +102,8 @@ def test_metrics_are_those_of_single_runs(name, method):
         "peak_input": {"rtol": 5e-3},
         "input_variation": {"rtol": 5e-3},
     }
-    for k in range(6):
+    checked = [0, 3, 5]  # of six, which are more than a register
+    for k in checked:
         run = Members(system, 5).member(3 + k)
         metrics = certrack.simulate(run, tolerance=1e-9).metrics
         for name_, value in zip(METRICS, found[:, k], strict=True):
@@ -110,10 +111,10 @@ def test_metrics_are_those_of_single_runs(name, method):
             limits = {"rtol": 1e-4, "atol": 1e-9} | close.get(name_, {})
             np.testing.assert_allclose(value, expected, err_msg=name_, **limits)
     if method != "lockstep":
-        x = engine.method.final_states(3, 9, bands)
+        x = engine.method.final_states(3, 9, bands)[:, checked]
         alone = [
             certrack.simulate(Members(system, 5).member(3 + k), tolerance=1e-11).x[:, -1]
-            for k in range(6)
+            for k in checked
         ]
         np.testing.assert_allclose(x, np.transpose(alone), atol=1e-7 * (1 + np.abs(x).max()))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from depth import depth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_ranges import random_system
@@ -135,7 +136,7 @@ def test_no_state_leaves_the_tube(seed):
 
 @pytest.mark.slow
 @given(st.integers(0, 10**6), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=depth(10, 100), deadline=None)
 def test_no_state_of_a_random_chain_leaves_the_tube(seed, growth):
     found = attacked(seed, growth)
     assert found is None or max(found) <= 1 + 1e-9
