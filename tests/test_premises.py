@@ -76,10 +76,10 @@ def test_a_sampled_file_assumes_the_continuous_law_and_says_so(capfd, tmp_path):
     """Where no certificate is of the sampled loop: here the law is adaptive."""
     file = str(tmp_path / "sampled.toml")
     certrack.save(EXAMPLE.replace(implementation=certrack.Implementation(period=1e-3)), file)
-    code, out, _ = invoke(capfd, "certify", file)
+    code, out, _ = invoke(capfd, "certify", file, "--effort", "fast")
     assert code == 0
     assert "assumed       continuous law, exact states" in out
-    _, out, _ = invoke(capfd, "certify", file, "--json")
+    _, out, _ = invoke(capfd, "certify", file, "--json", "--effort", "fast")
     (entry,) = [p for p in json.loads(out)["premises"] if p["name"].startswith("continuous")]
     assert entry["status"] == "assumed" and entry["witness"] is None
 
