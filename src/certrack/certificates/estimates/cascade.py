@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,10 @@ SHIFT_RATIO = 1.06
 #: one once that bound has moved by so much since the stage was tried.
 LEAST_WORTH, TRIED_AGAIN = 3e-3, 0.03
 
+#: Where a gain has changed by this part since the stage was searched for, it is searched for anew:
+#: the best kappa may have ten times the size, or the other sign.
+SEARCHED_AGAIN = 0.25
+
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
 
@@ -56,23 +60,33 @@ class KnownStage:
     Attributes
     ----------
     shift : float
-        kappa.
+        kappa; 0 where none is better than no centre.
     alpha : float, 1/s
     worth : float
         The part by which it lowered the bound of e_n; 0 where it did not, or helped no one.
     without : float
         That bound without it.
+    searched : array
+        What the gains were (:func:`_sizes_of_gains`) where all of kappa was searched.
     """
 
     shift: float
     alpha: float
     worth: float
     without: float
+    searched: np.ndarray = field(compare=False)
 
     def is_followed(self, last: Solution) -> bool:
         """Whether a quick look tries it beside `last`, which bounds e_n without it."""
         moved = abs(last.bound - self.without) > TRIED_AGAIN * self.without
-        return self.worth > LEAST_WORTH or moved
+        return self.shift != 0 and (self.worth > LEAST_WORTH or moved)
+
+    def is_far(self, sizes: np.ndarray, last: Solution) -> bool:
+        """Whether all of kappa is searched again, for gains of these sizes."""
+        if len(sizes) != len(self.searched):
+            return True
+        moved = max(abs(last.bound / self.without - 1), np.abs(sizes - self.searched).max())
+        return bool(moved > SEARCHED_AGAIN)
 
 
 @dataclass(frozen=True)
@@ -141,15 +155,23 @@ def best_cascade(
         return None
     quick = near is not None and accuracy > NEARBY_SLOPE_ACCURACY
     of_last, shift, centred = problem, 0.0, None
-    stage = None if near is None else near.stage
-    if not quick or (stage is not None and stage.is_followed(last)):
-        best_centred = _centred(system, program, last, stage, accuracy, quick)
+    stage, sizes = None if near is None else near.stage, _sizes_of_gains(problem)
+    if stage is None or stage.is_far(sizes, last):
+        stage = KnownStage(0.0, last.alpha, 0.0, last.bound, sizes)
+        is_tried, known = True, None
+    else:
+        is_tried = not quick or stage.is_followed(last)
+        known = stage if stage.shift else None
+    if is_tried:
+        best_centred = _centred(system, program, last, known, accuracy, quick)
         if best_centred is not None and best_centred[0].bound < last.bound:
             centred, shift, of_last = best_centred
             worth = 1 - centred.bound / last.bound
-            stage = KnownStage(shift, centred.alpha, worth, last.bound)
-        elif stage is not None:  # then all is searched where accuracy is asked for next
-            stage = replace(stage, worth=0.0, without=last.bound) if quick else None
+            stage = replace(
+                stage, shift=shift, alpha=centred.alpha, worth=worth, without=last.bound
+            )
+        else:  # where accuracy is asked for next, all is searched
+            stage = replace(stage, shift=stage.shift * quick, worth=0.0, without=last.bound)
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
     known, alpha = (None, None) if near is None else (near.state, near.head.alpha)
@@ -157,6 +179,16 @@ def best_cascade(
     if head is None:
         return None
     return BestCascade(last, centred, head, (of_last, inner), shift, stage, state)
+
+
+def _sizes_of_gains(problem: ErrorProblem) -> np.ndarray:
+    """Numbers that change by about the part by which a gain does."""
+    adaptation = problem.adaptation
+    assert adaptation is not None
+    rates = adaptation.gain_rate, adaptation.leak_gain, adaptation.leak_theta
+    positive = np.concatenate([np.diag(problem.M), rates, np.diag(adaptation.Gamma)])
+    guesses = np.append(adaptation.theta0, adaptation.delta0 * adaptation.gains[0])
+    return np.append(np.log(np.abs(positive.astype(float))), np.arcsinh(guesses.astype(float)))
 
 
 def rate_nearby(
