@@ -274,6 +274,42 @@ def test_the_form_says_what_is_wrong_at_the_field_and_takes_new_constants(shown)
     at_rest(page)
     assert "stiff" in page.evaluate("lab.state.system.form[0].fields.map((field) => field.name)")
     assert not page.locator(".wrong-note").count()
+    assert "stiff*x1**2*x2" in page.evaluate("lab.state.text")
+
+
+def test_changes_of_the_form_that_need_each_other_add_up(shown):
+    """Other names of the states: nothing loads until every formula has them."""
+    page = shown()
+    page.click("#tab-system")
+    for fold in ("Truth", "Run"):
+        page.locator("summary", has_text=fold).first.click()
+
+    def typed(path, text):
+        field = page.locator(f'[data-path="{path}"]')
+        field.fill(text)
+        asked = page.evaluate("lab.state.asked")
+        field.press("Enter")
+        wait(page, f"lab.state.asked > {asked} && lab.state.restoring === null")
+
+    renamed = {}
+    for path in ("plant.drift", "plant.regressor", "truth.omega"):
+        value = page.input_value(f'[data-path="{path}"]')
+        renamed[path] = value.replace("x1", "q").replace("x2", "v")
+    before = page.evaluate("lab.state.text")
+    typed("plant.states", '["q", "v"]')
+    for path, value in renamed.items():
+        assert page.evaluate("lab.state.textProblem !== null"), path
+        assert page.input_value('[data-path="plant.states"]') == '["q", "v"]'
+        typed(path, value)
+    wait(page, "lab.state.textProblem === null && lab.state.system.states[0] === 'q'")
+    at_rest(page)
+    typed("simulation.duration", "ever")  # no value at all
+    typed("plant.states", '["q", "w"]')
+    page.click(".stale-note >> text=Discard these changes")
+    wait(page, "lab.state.textProblem === null && lab.state.system.states[1] === 'v'")
+    at_rest(page)
+    assert page.input_value('[data-path="simulation.duration"]') == "20"
+    assert page.input_value("#text") == page.evaluate("lab.state.text") != before
 
 
 def test_a_contradicted_premise_strikes_the_number(shown):

@@ -269,6 +269,32 @@ def test_a_quick_look_follows_a_centred_stage_that_is_worth_it(monkeypatch):
     assert exact.cascade.shift == pytest.approx(near.cascade.shift, rel=0.02)
 
 
+@pytest.mark.parametrize("gain", ["leak_theta", "leak_gain", "gain_rate"])
+def test_a_long_drag_finds_the_centre_that_fits(gain):
+    """The best kappa ends at a kink and has shrunk: a look nearby alone would keep the first."""
+    system, warm = certrack.load("example1"), None
+    for k in range(15):
+        law = replace(system.law, **{gain: getattr(system.law, gain) * 0.85**k})
+        moved = system.replace(law=law)
+        accuracy = {"accuracy": 1e-4} if k > 1 else {}
+        warm = certrack.estimate(moved, warm=warm, **accuracy)
+    assert warm.bound == pytest.approx(certrack.estimate(moved).bound, rel=0.02)
+    rested = certrack.estimate(moved, warm=warm)
+    assert rested.bound == pytest.approx(certrack.estimate(moved).bound, rel=2e-3)
+
+
+@pytest.mark.parametrize("gain", ["leak_theta", "leak_gain", "gain_rate"])
+def test_one_far_jump_is_searched_anew(gain):
+    system = certrack.load("example1")
+    near = certrack.estimate(system)
+    law = replace(system.law, **{gain: getattr(system.law, gain) / 10})
+    moved = system.replace(law=law)
+    cold = certrack.estimate(moved)
+    for accuracy in ({}, {"accuracy": 1e-4}):
+        found = certrack.estimate(moved, warm=near, **accuracy)
+        assert found.bound == pytest.approx(cold.bound, rel=1e-3)
+
+
 def test_an_estimate_has_no_centred_stage_where_the_proof_has_none():
     """The exact enclosure knows no power of |x2|, which may be zero; floats do."""
     example = certrack.load("example1")

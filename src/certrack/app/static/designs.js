@@ -67,6 +67,7 @@ export class Designs {
       else if (was?.source === "again" && this.editor.draft !== null) this.texts.text(this.editor.draft);
       return;
     }
+    if (was?.source === "form") this.unfinished(header.text, was);
     if (was?.opening) this.refusedOpening(header);
     else this.marked(header.problem);
     if (this.unknown && was?.source !== "again" && state.system) this.again(null);
@@ -83,6 +84,18 @@ export class Designs {
     this.editor.show(text);
     this.marked(problem);
     select("file", this.tabShown);
+  }
+
+  /** An edit of the form that is refused: the next one goes on from it. */
+  unfinished(text, { sent, entries }) {
+    if (text === sent) this.texts.entries = entries; // what was typed is no value at all
+    else this.editor.draw(text, this.texts.ancestor);
+  }
+
+  /** Back to the last text that loads. */
+  discard() {
+    this.editor.show(state.text, this.gains.all());
+    this.texts.text(state.text);
   }
 
   marked(problem) {

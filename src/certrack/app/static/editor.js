@@ -46,6 +46,13 @@ export class Editor {
     this.number();
   }
 
+  /** A text that has errors, as if it had been typed. */
+  draw(text, numbers) {
+    Object.assign(this, { numbers, held: true });
+    this.area.value = text;
+    this.number();
+  }
+
   /** What is wrong with the text; null if nothing is. */
   mark(problem) {
     this.problem = problem;

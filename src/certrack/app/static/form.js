@@ -8,7 +8,7 @@ const NAME = /^[A-Za-z]\w*$/;
 const KIND_OF_REFERENCE = "reference.kind";
 
 export class Form {
-  /** `on`: edit(path, value). */
+  /** `on`: edit(path, value), discard() what has errors. */
   constructor(parent, on) {
     this.parent = parent;
     this.on = on;
@@ -84,13 +84,14 @@ export class Form {
   /** Mark the field of an error with what is wrong, and say that the rest of the form waits. */
   mark(problem) {
     this.parent.querySelectorAll(".wrong-note").forEach((said) => said.remove());
+    const path = problem?.key?.replace(/\[.*$/, ""), input = path ? this.parent.querySelector(`[data-path="${CSS.escape(path)}"]`) : null;
     if (this.stale) {
       this.stale.hidden = !problem;
-      write(this.stale, problem ? `${problem.message.replace(/\.?$/, ".")} The page shows the last good design until this is mended; go on filling in.` : "");
+      write(this.stale, problem ? `${problem.message.replace(/\.?$/, ".")} The page shows the last good design until this is mended; go on filling in. ` : "");
+      if (input) this.stale.append(element("button", { class: "small", onclick: () => input.focus() }, "Go to the field"), " ");
+      if (problem) this.stale.append(element("button", { class: "small", onclick: () => this.on.discard() }, "Discard these changes"));
     }
     this.parent.querySelectorAll("[aria-invalid]").forEach((input) => input.removeAttribute("aria-invalid"));
-    if (!problem?.key) return;
-    const path = problem.key.replace(/\[.*$/, ""), input = this.parent.querySelector(`[data-path="${CSS.escape(path)}"]`);
     if (!input) return;
     input.setAttribute("aria-invalid", "true");
     for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;

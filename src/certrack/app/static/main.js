@@ -46,7 +46,7 @@ const files = new Files({ send, values, note, draft: () => editor.draft, rest: (
 const opening = new Opening({ ask: (message, restoring) => texts.ask(message, restoring) }, files);
 const openAsked = (source, name) => opening.ask(() => opening.open(source, name));
 const editor = new Editor({ text: (text) => texts.text(text), typed: () => files.showEdited() });
-const form = new Form(byId("form"), { edit });
+const form = new Form(byId("form"), { edit, discard: () => designs.discard() });
 const responses = new Responses(byId("plots"), state, { zoom, edit, limit: (name, value) => tasks.tuning.limit(name, value) });
 const guarantee = new Guarantee(state, { edit });
 const tasks = new Tasks(state, {

@@ -36,7 +36,8 @@ export class Texts {
     this.entries[path] = value;
     const { draft } = this.on.editor(), gains = draft === null ? this.on.values() : {};
     this.on.editor().hold();
-    return this.ask({ type: "edit", text: draft ?? state.base, name: state.name, entries: { ...this.entries }, gains }, { source: "form" });
+    const sent = draft ?? state.base, entries = { ...this.entries };
+    return this.ask({ type: "edit", text: sent, name: state.name, entries, gains }, { source: "form", sent, entries });
   }
 
   /** Whether an answer is that to the newest text. */

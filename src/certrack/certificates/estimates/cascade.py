@@ -42,9 +42,9 @@ SHIFT_RATIO = 1.06
 #: one once that bound has moved by so much since the stage was tried.
 LEAST_WORTH, TRIED_AGAIN = 3e-3, 0.03
 
-#: Where a gain has changed by this part since the stage was searched for, it is searched for anew:
-#: the best kappa may have ten times the size, or the other sign.
-SEARCHED_AGAIN = 0.25
+#: Where the logarithm of a gain has changed by so much since the stage was searched for, it is
+#: searched for anew, since the best kappa may have ten times the size; a quick look waits longer.
+SEARCHED_AGAIN, QUICKLY_AGAIN = 0.25, 0.7
 
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
@@ -81,12 +81,12 @@ class KnownStage:
         moved = abs(last.bound - self.without) > TRIED_AGAIN * self.without
         return self.shift != 0 and (self.worth > LEAST_WORTH or moved)
 
-    def is_far(self, sizes: np.ndarray, last: Solution) -> bool:
+    def is_far(self, sizes: np.ndarray, quick: bool) -> bool:
         """Whether all of kappa is searched again, for gains of these sizes."""
         if len(sizes) != len(self.searched):
             return True
-        moved = max(abs(last.bound / self.without - 1), np.abs(sizes - self.searched).max())
-        return bool(moved > SEARCHED_AGAIN)
+        moved = np.abs(sizes - self.searched).max()
+        return bool(moved > (QUICKLY_AGAIN if quick else SEARCHED_AGAIN))
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def best_cascade(
     quick = near is not None and accuracy > NEARBY_SLOPE_ACCURACY
     of_last, shift, centred = problem, 0.0, None
     stage, sizes = None if near is None else near.stage, _sizes_of_gains(problem)
-    if stage is None or stage.is_far(sizes, last):
+    if stage is None or stage.is_far(sizes, quick):
         stage = KnownStage(0.0, last.alpha, 0.0, last.bound, sizes)
         is_tried, known = True, None
     else:

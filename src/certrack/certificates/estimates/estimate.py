@@ -123,7 +123,7 @@ def estimate(
     accuracy : float
         With `warm`, by about which part the bound of a law with estimates may be above the least,
         0.1 at most. A quick look (1e-4) takes a fraction of the time, and does not try a centred
-        stage that `warm` had little use for.
+        stage that `warm` had little use for, until a gain has doubled since all were searched.
 
     Returns
     -------
