@@ -156,22 +156,21 @@ def best_cascade(
     quick = near is not None and accuracy > NEARBY_SLOPE_ACCURACY
     of_last, shift, centred = problem, 0.0, None
     stage, sizes = None if near is None else near.stage, _sizes_of_gains(problem)
-    if stage is None or stage.is_far(sizes, quick):
+    anew = stage is None or stage.is_far(sizes, quick)
+    if stage is None or anew:
         stage = KnownStage(0.0, last.alpha, 0.0, last.bound, sizes)
-        is_tried, known = True, None
-    else:
-        is_tried = not quick or stage.is_followed(last)
-        known = stage if stage.shift else None
-    if is_tried:
-        best_centred = _centred(system, program, last, known, accuracy, quick)
+    if anew or not quick or stage.is_followed(last):
+        beside = stage if stage.shift else None
+        best_centred = _centred(system, program, last, beside, accuracy, quick)
         if best_centred is not None and best_centred[0].bound < last.bound:
             centred, shift, of_last = best_centred
             worth = 1 - centred.bound / last.bound
             stage = replace(
                 stage, shift=shift, alpha=centred.alpha, worth=worth, without=last.bound
             )
-        else:  # where accuracy is asked for next, all is searched
-            stage = replace(stage, shift=stage.shift * quick, worth=0.0, without=last.bound)
+        else:  # an accurate look begins from nothing next time, a quick one from here
+            kept = stage.shift if quick else 0.0
+            stage = replace(stage, shift=kept, worth=0.0, without=last.bound)
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
     known, alpha = (None, None) if near is None else (near.state, near.head.alpha)
