@@ -10,7 +10,7 @@ from test_tuning import agree, random_system
 import certrack
 from certrack.certificates import semidefinite
 from certrack.certificates.arithmetic import decimal
-from certrack.certificates.estimates import cascade
+from certrack.certificates.estimates import known_stage
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.formulation import error_problem
@@ -255,8 +255,8 @@ def test_a_quick_look_follows_a_centred_stage_that_is_worth_it(monkeypatch):
     followed, cold = quick(1.005, near)
     assert followed.cascade.centred is not None
     assert followed.bound == pytest.approx(cold.bound, rel=1e-4)
-    monkeypatch.setattr(cascade, "LEAST_WORTH", 1.0)
-    monkeypatch.setattr(cascade, "TRIED_AGAIN", 1e-3)
+    monkeypatch.setattr(known_stage, "LEAST_WORTH", 1.0)
+    monkeypatch.setattr(known_stage, "TRIED_AGAIN", 1e-3)
     idle, _ = quick(1.005, near)
     assert idle.cascade.centred is None and idle.cascade.stage == stage
     assert idle.bound > followed.bound

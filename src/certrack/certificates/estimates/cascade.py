@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from certrack.certificates.centred import CentredProblems
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.estimates.centred_stage import CentredStage, ReachedSet, StageDesign
 from certrack.certificates.estimates.dual import SemidefiniteEstimate, semidefinite_estimate
+from certrack.certificates.estimates.known_stage import KnownStage, sizes_of_gains
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.formulation import error_coordinates, error_problem
@@ -38,55 +39,11 @@ from certrack.systems.system import System
 #: Beside a shift from nearby, one so much smaller and larger is tried where it ends at a kink.
 SHIFT_RATIO = 1.06
 
-#: A quick look follows a centred stage that lowers the bound of e_n by at least this part; another
-#: one once that bound has moved by so much since the stage was tried.
-LEAST_WORTH, TRIED_AGAIN = 3e-3, 0.03
-
-#: Where the logarithm of a gain has changed by so much since the stage was searched for, it is
-#: searched for anew, since the best kappa may have ten times the size; a quick look waits longer.
-SEARCHED_AGAIN, QUICKLY_AGAIN = 0.25, 0.7
-
 #: Step in logarithms of rates, centre and E where no other is asked for.
 LOG_STEP = 1e-5
 
 #: Digits of the floats that stand for a proof.
 STAGE_DIGITS = 13
-
-
-@dataclass(frozen=True)
-class KnownStage:
-    """The centred stage where it was tried last.
-
-    Attributes
-    ----------
-    shift : float
-        kappa; 0 where none is better than no centre.
-    alpha : float, 1/s
-    worth : float
-        The part by which it lowered the bound of e_n; 0 where it did not, or helped no one.
-    without : float
-        That bound without it.
-    searched : array
-        What the gains were (:func:`_sizes_of_gains`) where all of kappa was searched.
-    """
-
-    shift: float
-    alpha: float
-    worth: float
-    without: float
-    searched: np.ndarray = field(compare=False)
-
-    def is_followed(self, last: Solution) -> bool:
-        """Whether a quick look tries it beside `last`, which bounds e_n without it."""
-        moved = abs(last.bound - self.without) > TRIED_AGAIN * self.without
-        return self.shift != 0 and (self.worth > LEAST_WORTH or moved)
-
-    def is_far(self, sizes: np.ndarray, quick: bool) -> bool:
-        """Whether all of kappa is searched again, for gains of these sizes."""
-        if len(sizes) != len(self.searched):
-            return True
-        moved = np.abs(sizes - self.searched).max()
-        return bool(moved > (QUICKLY_AGAIN if quick else SEARCHED_AGAIN))
 
 
 @dataclass(frozen=True)
@@ -155,7 +112,7 @@ def best_cascade(
         return None
     quick = near is not None and accuracy > NEARBY_SLOPE_ACCURACY
     of_last, shift, centred = problem, 0.0, None
-    stage, sizes = None if near is None else near.stage, _sizes_of_gains(problem)
+    stage, sizes = None if near is None else near.stage, sizes_of_gains(problem)
     anew = stage is None or stage.is_far(sizes, quick)
     if stage is None or anew:
         stage = KnownStage(0.0, last.alpha, 0.0, last.bound, sizes)
@@ -169,8 +126,8 @@ def best_cascade(
                 stage, shift=shift, alpha=centred.alpha, worth=worth, without=last.bound
             )
         else:  # an accurate look begins from nothing next time, a quick one from here
-            kept = stage.shift if quick else 0.0
-            stage = replace(stage, shift=kept, worth=0.0, without=last.bound)
+            shift_nearby = stage.shift if quick else 0.0
+            stage = replace(stage, shift=shift_nearby, worth=0.0, without=last.bound)
     limit = last.bound if centred is None else centred.bound
     inner = head_problem(problem, limit)
     known, alpha = (None, None) if near is None else (near.state, near.head.alpha)
@@ -178,16 +135,6 @@ def best_cascade(
     if head is None:
         return None
     return BestCascade(last, centred, head, (of_last, inner), shift, stage, state)
-
-
-def _sizes_of_gains(problem: ErrorProblem) -> np.ndarray:
-    """Numbers that change by about the part by which a gain does."""
-    adaptation = problem.adaptation
-    assert adaptation is not None
-    rates = adaptation.gain_rate, adaptation.leak_gain, adaptation.leak_theta
-    positive = np.concatenate([np.diag(problem.M), rates, np.diag(adaptation.Gamma)])
-    guesses = np.append(adaptation.theta0, adaptation.delta0 * adaptation.gains[0])
-    return np.append(np.log(np.abs(positive.astype(float))), np.arcsinh(guesses.astype(float)))
 
 
 def rate_nearby(
