@@ -791,3 +791,19 @@ def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path
         at_rest(page)
         assert page.locator('[data-path="law.c[3]"]').get_attribute("aria-valuenow") == "6.6"
     page.close()
+
+
+def test_what_lies_between_two_curves_is_drawn_where_there_are_both(shown):
+    high, low = [1, 1, None, None, 0.5, 0.5, 0.7], [0, 0, 0, None, 0.4, 0.4, None]
+    page = shown()
+    corners = page.evaluate(TRACED + f"({json.dumps([high, low])})")[-1]
+    begins = [k for k, corner in enumerate(corners) if corner[2]]
+    assert len(begins) == 2
+    boxes = [
+        np.array([c[:2] for c in part]) for part in (corners[: begins[1]], corners[begins[1] :])
+    ]
+    sizes = [(*part.min(axis=0), *part.max(axis=0)) for part in boxes]
+    assert sizes == [
+        pytest.approx((0, 0, 700 / 6, 100)),
+        pytest.approx((700 * 4 / 6, 50, 700 * 5 / 6, 60)),
+    ]

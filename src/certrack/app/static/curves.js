@@ -58,11 +58,14 @@ export function line(u, t, values, first = 0, last = t.length - 1) {
   return pen.path;
 }
 
-/** What lies between two curves. */
+/** What lies between two curves, wherever there are both. */
 export function strip(u, t, high, low) {
-  const [across, up] = positions(u), pen = new Pen(), last = t.length - 1;
-  for (let i = 0; i <= last; i += 1) if (drawn(high[i])) pen.to(across(t[i]), up(high[i]));
-  for (let i = last; i >= 0; i -= 1) if (drawn(low[i])) pen.to(across(t[i]), up(low[i]));
-  pen.lift();
+  const [across, up] = positions(u), pen = new Pen(), both = (i) => drawn(high[i]) && drawn(low[i]);
+  for (let i = 0, end; i < t.length; i = end + 1) {
+    for (end = i; end < t.length && both(end); ) end += 1;
+    for (let k = i; k < end; k += 1) pen.to(across(t[k]), up(high[k]));
+    for (let k = end - 1; k >= i; k -= 1) pen.to(across(t[k]), up(low[k]));
+    pen.lift();
+  }
   return pen.path;
 }
