@@ -807,3 +807,15 @@ def test_what_lies_between_two_curves_is_drawn_where_there_are_both(shown):
         pytest.approx((0, 0, 700 / 6, 100)),
         pytest.approx((700 * 4 / 6, 50, 700 * 5 / 6, 60)),
     ]
+
+
+def test_numbers_of_lines_stand_beside_them_to_the_end(shown):
+    page = shown()
+    page.click("#tab-file")
+    page.fill("#text", page.input_value("#text") + "# " + "long " * 200 + "\n#\n" * 60)
+    page.evaluate(
+        "document.querySelector('#text').style.borderBottom = '15px solid'"
+    )  # a scroll bar
+    page.evaluate("document.querySelector('#text').scrollTop = 1e6")
+    tops = "['text', 'lines'].map((id) => document.getElementById(id).scrollTop)"
+    wait(page, f"{tops}[0] > 0 && {tops}[0] === {tops}[1]", 10)
