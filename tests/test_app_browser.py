@@ -819,3 +819,11 @@ def test_numbers_of_lines_stand_beside_them_to_the_end(shown):
     page.evaluate("document.querySelector('#text').scrollTop = 1e6")
     tops = "['text', 'lines'].map((id) => document.getElementById(id).scrollTop)"
     wait(page, f"{tops}[0] > 0 && {tops}[0] === {tops}[1]", 10)
+
+
+def test_compare_says_that_another_system_drops_pins(shown):
+    page = shown()
+    opened(page, "mine")
+    page.evaluate("lab.state.pins = []")
+    page.keyboard.press("c")
+    assert "drops its pins" in page.inner_text("#drawer")

@@ -193,7 +193,7 @@ export class Tasks {
   compare() {
     const { pins, system } = this.state;
     if (!pins.length) {
-      this.drawer.open("Compare", [sentence("Pin a design (P) to compare it with others; every pin stays in this list.")]);
+      this.drawer.open("Compare", [sentence("Pin a design (P) to compare it with others of this system; to open another system drops its pins.")]);
       return;
     }
     const columns = this.columns();
