@@ -793,6 +793,30 @@ def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path
     page.close()
 
 
+def test_what_a_run_says_stands_as_long_as_it_is_shown(shown):
+    page = shown()
+    shows = "document.querySelector('#note').textContent"
+    page.evaluate(
+        "lab.state.run = { ...lab.state.run, header: { ...lab.state.run.header,"
+        " outcome: 'diverged', end: 3, message: 'too large' } }; lab.tasks.on.redraw()"
+    )
+    wait(page, f"{shows} === 'stopped at t = 3.000 s: too large'")
+    page.locator('[data-path="law.c[0]"]').focus()
+    page.keyboard.press("ArrowRight")
+    at_rest(page)
+    wait(page, f"{shows} === ''")
+    kept = page.evaluate(
+        """(async () => {
+          const { keepNote, note } = await import("./notes.js"), said = [];
+          const tell = () => said.push(document.querySelector("#note").textContent);
+          keepNote("stopped"); tell(); note("saved"); tell(); keepNote("stopped"); tell();
+          keepNote(""); tell();  // a message is not taken away
+          return said;
+        })()"""
+    )
+    assert kept == ["stopped", "saved", "saved", "saved"]
+
+
 def test_what_lies_between_two_curves_is_drawn_where_there_are_both(shown):
     high, low = [1, 1, None, None, 0.5, 0.5, 0.7], [0, 0, 0, None, 0.4, 0.4, None]
     page = shown()
@@ -807,6 +831,41 @@ def test_what_lies_between_two_curves_is_drawn_where_there_are_both(shown):
         pytest.approx((0, 0, 700 / 6, 100)),
         pytest.approx((700 * 4 / 6, 50, 700 * 5 / 6, 60)),
     ]
+
+
+def test_a_narrow_page_asks_for_as_many_points_as_its_plots_are_wide(shown):
+    page = shown((720, 450))
+    page.evaluate("lab.state.run = null")
+    page.locator('[data-path="law.c[0]"]').focus()
+    page.keyboard.press("ArrowRight")
+    at_rest(page)
+    assert page.evaluate("lab.responses.plots[0].box.clientWidth") > 500
+    assert page.evaluate("lab.state.run.times.length") > 500
+
+
+def test_a_huge_change_is_printed_short(shown):
+    changes = shown().evaluate(
+        """import("./numbers.js").then(({ change }) =>
+          [[1, 12.3], [1, 998], [1, 1234], [1e-9, 4.56e8], [1, 1e308], [1e-300, 1e300]]
+            .map((pair) => change(...pair)))"""
+    )
+    times = "\N{MULTIPLICATION SIGN}"
+    assert changes == [
+        f"+{text}{times}" for text in ("12", "998", "1.23e3", "4.6e17", "1.0e308")
+    ] + [""]
+
+
+def test_files_that_came_later_are_in_the_menu(shown, server):
+    page = shown()
+    path = server.folder / "later.toml"
+    path.write_text(certrack.starter("dual-motor-lean"))
+    page.click("#file")
+    page.locator(".menu .item", has_text="later.toml").wait_for(timeout=1000 * PATIENCE)
+    page.keyboard.press("Escape")
+    path.unlink()
+    page.click("#file")
+    gone = "![...document.querySelectorAll('.menu .item')].some((e) => /later/.test(e.textContent))"
+    wait(page, gone)
 
 
 def test_numbers_of_lines_stand_beside_them_to_the_end(shown):

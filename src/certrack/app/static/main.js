@@ -10,8 +10,9 @@ import { History } from "./history.js";
 import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
 import { showLaw } from "./law.js";
 import { KIND, Link, sessionKey } from "./link.js";
-import { askConflict, closeMenu, exportMenu, fileMenu, firstVisit, helpMenu } from "./menus.js";
-import { note, status } from "./notes.js";
+import { askConflict, closeMenu, exportMenu, fileMenu, firstVisit, helpMenu, listFiles } from "./menus.js";
+import { keepNote, note, status } from "./notes.js";
+import { hasBound } from "./numbers.js";
 import { Opening } from "./opening.js";
 import { Paints } from "./paints.js";
 import { Requests } from "./requests.js";
@@ -38,7 +39,8 @@ const gains = new Gains(byId("gains"), {
   problem: (text) => note(text),
   step: (path, value) => edit(path, value),
 });
-const requests = new Requests({ send, values, width: () => (plotsWidth ||= byId("plots").clientWidth), law: () => byId("law-card").open });
+const requests = new Requests({ send, values, width: () => (plotsWidth ||= byId("plots").clientWidth || responses.plots[0]?.box.clientWidth || 0), // a narrow page has the plots without their box
+  law: () => byId("law-card").open });
 const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
 const texts = new Texts({ send, values, all: () => gains.all(), editor: () => editor });
 const edit = (path, value) => texts.edit(path, value);
@@ -106,7 +108,10 @@ function received(message) {
 }
 
 function noted(header) {
-  if (header.hello) designs.greet(header);
+  if (header.hello) {
+    designs.greet(header);
+    listFiles(header);
+  }
   else if (header.saved) files.saved(header.saved, header.digest);
   else if (header.conflict) files.conflict(header.conflict);
   else if (header.note && header.note !== "ready") note(header.note);
@@ -240,11 +245,13 @@ const showTables = spaced(tables, READABLE);
 function tables() {
   if (!state.system || !state.run) return;
   guarantee.tables();
-  const { header } = state.run, parts = [`run ${header.ms.toFixed(1)} ms`];
+  const header = state.run?.header;
+  keepNote(header && header.outcome !== "finished" ? `stopped at t = ${header.end.toPrecision(4)} s: ${header.message}` : "");
+  if (!header) return write(byId("cost"), "");
+  const parts = [`run ${header.ms.toFixed(1)} ms`];
   if (state.boundTime !== undefined) parts.push(`bound ${Math.round(state.boundTime)} ms`);
   if (state.exactTime !== undefined) parts.push(`exact ${Math.round(state.exactTime)} ms`);
-  write(byId("cost"), [...parts, `${header.steps} steps`].join(" · "));
-  if (header.outcome !== "finished") write(byId("note"), `stopped at t = ${header.end.toPrecision(4)} s: ${header.message}`);
+  return write(byId("cost"), [...parts, `${header.steps} steps`].join(" · "));
 }
 
 // undo and redo, pins
@@ -313,7 +320,11 @@ function exportAs(format) {
 }
 
 const actions = {
-  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), link: (address) => designs.follow(files.unpacked(address)), recent }),
+  file: () => {
+    if (!state.greeting) return;
+    send({ type: "files" }); // others may have come
+    fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), link: (address) => designs.follow(files.unpacked(address)), recent });
+  },
   export: () => state.system && exportMenu(state, { export: exportAs, copyLink: () => files.copyLink() }),
   help: () => helpMenu({ singleKeys, setSingleKeys }),
   undo: () => history.back(),
@@ -347,6 +358,7 @@ addEventListener("resize", settled(() => {
   requests.submit();
 }, RESIZED));
 
+  plotsWidth = 0;
 new ResizeObserver(() => (plotsWidth = 0)).observe(byId("plots")); // to ask for it at each move would lay out the page in between
 
 addEventListener("hashchange", () => state.greeting && designs.follow(files.linked()));

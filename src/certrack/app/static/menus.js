@@ -7,7 +7,10 @@ export const TRY = [["Move ", "a slider", " and watch the bound."], ["Press ", "
 
 const VISITED = "certrack-visited";
 
-let closeOpen = null;
+let closeOpen = null, relist = null;
+
+/** The folder has been looked through again: an open menu of files tells. */
+export const listFiles = (greeting) => relist?.(greeting);
 
 /** Close what is open; whether something was. */
 export function closeMenu() {
@@ -64,14 +67,20 @@ export function fileMenu(greeting, state, on) {
   const linked = element("input", { "aria-label": "From a link", placeholder: "From a link: paste it here", autocomplete: "off", spellcheck: "false" });
   const follow = () => { closeMenu(); on.link(linked.value); };
   onEnter(linked, follow);
-  const recent = on.recent().filter((file) => greeting.files.includes(file));
+  const folder = element("div"), list = (names) => names.map((file) => item(file, "", () => on.open("file", file)));
+  let shown;
+  const fill = ({ files }) => {
+    if (String(shown) === String(files)) return; // a press would miss
+    shown = files;
+    const recent = on.recent().filter((file) => files.includes(file));
+    folder.replaceChildren(...(recent.length ? [element("h3", {}, "Recent")] : []), ...list(recent), element("h3", {}, "Files in this folder"), element("p", { class: "sub path" }, greeting.folder), ...(files.length ? list(files) : [element("p", { class: "sub" }, "none yet")]));
+  };
+  fill(greeting);
+  relist = fill;
   below(
     byId("file"), "Files",
     state.system ? element("div", { class: "save" }, name, element("button", { onclick: save }, "Save")) : null,
-    recent.length ? element("h3", {}, "Recent") : null, ...recent.map((file) => item(file, "", () => on.open("file", file))),
-    element("h3", {}, "Files in this folder"), element("p", { class: "sub path" }, greeting.folder),
-    ...greeting.files.map((file) => item(file, "", () => on.open("file", file))),
-    greeting.files.length ? null : element("p", { class: "sub" }, "none yet"),
+    folder,
     item("From elsewhere on this computer …", "a copy of the text", () => pick.click()), pick,
     element("div", { class: "save" }, linked, element("button", { onclick: follow }, "Open")),
     item("Empty plant", "a commented file to begin with", () => on.open("empty", "")),

@@ -22,6 +22,9 @@ export function roundedUp(value, digits = 4) {
   return format(rounded, digits);
 }
 
+/** Whether there is a bound: 0 is one. */
+export const hasBound = (one) => Number.isFinite(one?.bound);
+
 /** The minus sign of mathematics, and a short exponent. */
 export const minus = (text) => text.replaceAll("-", "−").replace("e+", "e");
 
@@ -42,10 +45,11 @@ export function tick(value) {
 /** The change from one number to another, as people read it. */
 export function change(before, now) {
   if (before === null || now === null || before === undefined || now === undefined || !before) return "";
-  const part = now / before - 1;
+  const part = now / before - 1, factor = Math.abs(part) + 1;
+  if (!Number.isFinite(part)) return "";
   if (Math.abs(part) < 5e-4) return "=";
   const size = Math.abs(part);
-  const shown = size >= 9.995 ? `${(size + 1).toFixed(0)}×` : `${(100 * size).toFixed(size < 0.0995 ? 1 : 0)} %`;
+  const shown = size >= 9.995 ? `${factor < 999.5 ? factor.toFixed(0) : format(factor, 3)}×` : `${(100 * size).toFixed(size < 0.0995 ? 1 : 0)} %`;
   return `${part < 0 ? "−" : "+"}${shown}`;
 }
 
