@@ -793,6 +793,122 @@ def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path
     page.close()
 
 
+#: A plant without disturbance at the origin: a bound of exactly 0 is proven.
+STILL = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+linear = [[0]]
+drift = "0"
+regressor = []
+gain_sign = 1
+input_gain = 1
+theta = []
+[plant.uncertainty]
+tau = [0, 0]
+gamma = [0, 0]
+beta = [9, 9]
+[truth]
+input_gain = 1
+theta = []
+omega = ["0", "0"]
+[reference]
+signal = "0"
+[law]
+kind = "robust"
+c = [2, 2]
+feedforward = 1
+[simulation]
+x0 = [0.3, 0]
+duration = 8
+tail = 1
+"""
+
+
+def test_a_bound_of_zero_is_shown_as_one_and_leaves_axes_a_scale(shown, server):
+    (server.folder / "still.toml").write_text(STILL)
+    page = shown()
+    opened(page, "still")
+    wait(page, "lab.state.bound.effort === 'default' && lab.state.bound.bound === 0")
+    wait(page, "document.querySelector('#badge').textContent === 'exact'")
+    assert page.inner_text("#bound .le") == "\N{LESS-THAN OR EQUAL TO}"
+    assert page.inner_text("#bound .num") == page.evaluate("lab.state.bound.text")
+    assert "largest" in page.inner_text("#meaning")
+    wait(page, "!/none|estim/.test(document.querySelector('#measures tbody tr').textContent)")
+    assert "Certified bound 0" in page.locator("#announce").text_content()
+    tail = page.evaluate("lab.state.run.header.metrics.tail_error")
+    for key in "123":
+        page.keyboard.press(key)
+        page.evaluate("new Promise((done) => setTimeout(done, 100))")  # drawn once per frame
+        low, high = page.evaluate("['min', 'max'].map((k) => lab.responses.error.plot.scales.y[k])")
+        assert (tail / 100 < low < tail if key == "1" else low < 0) and 0.3 <= high < 2, key
+    labels = "lab.responses.error.spec.limits(lab.responses.error).map((limit) => limit.label)"
+    assert page.evaluate(labels)[0].startswith("certified 0")
+
+
+def test_the_bound_is_shown_without_a_run_and_another_design_begins_with_nothing(shown):
+    page = shown()
+    wait(page, "lab.state.bound.effort === 'default'")
+    wait(page, "document.querySelector('#budget-hint').textContent !== ''")
+    page.evaluate(
+        "lab.state.design += 1;"
+        "lab.received({ kind: 5, rows: [], view: 0, header: { of: 'run', message: 'No run.' },"
+        " design: lab.state.design, revision: lab.state.revision });"
+        "lab.state.bound = { ...lab.state.bound, design: lab.state.design }"
+    )
+    wait(page, "document.querySelector('#ladder b').textContent === '\N{EM DASH}'")
+    assert page.inner_text("#badge") == "exact"
+    assert page.inner_text("#bound .num") == page.evaluate("lab.state.bound.text")
+    left = page.evaluate(
+        """(async () => {
+          const { Guarantee } = await import("./guarantee.js"), { state } = lab;
+          Object.assign(state, { run: null, bound: null, before: null });
+          new Guarantee(state, {}).reset();
+          const parts = ["bound", "meaning", "remedy", "facts", "budget"];
+          return [...parts, "budget-change", "budget-hint", "badge"]
+            .map((id) => document.getElementById(id).textContent);
+        })()"""
+    )
+    waiting = ["\N{EM DASH}", "compiling \N{HORIZONTAL ELLIPSIS}", *[""] * 5, "waiting"]
+    assert left == waiting
+    drawn = page.evaluate(
+        """(async () => {
+          const { Guarantee } = await import("./guarantee.js"), { state } = lab;
+          const { design } = state, known = { exact: true, verified: true, reason: "", shares: [] };
+          state.bound = { ...known, design, bound: 0.25, text: "0.25" };
+          const guarantee = new Guarantee(state, {});
+          guarantee.draw(); guarantee.tables();
+          return ["#badge", "#bound .num", "#measures tbody td:nth-child(3)"]
+            .map((id) => document.querySelector(id).textContent);
+        })()"""
+    )
+    assert drawn == ["exact", "0.25", "0.25"]
+
+
+def test_an_infinite_worst_case_fills_its_bar(shown):
+    page = shown()
+    scales = page.evaluate(
+        """(async () => {
+          const { Guarantee } = await import("./guarantee.js"), { state } = lab;
+          const guarantee = new Guarantee(state, {}), header = state.run.header;
+          guarantee.ladder(header, { worst: Infinity, text: "unbounded" }, state.bound, false);
+          return [...document.querySelectorAll("#ladder i")].map((bar) => bar.style.transform);
+        })()"""
+    )
+    least, infinite, most = [float(re.search(r"\((.*)\)", scale)[1]) for scale in scales]
+    assert infinite == most == 1 and 0 < least < 1
+
+
+def test_without_a_certificate_the_error_has_its_own_range(shown):
+    page = shown()
+    page.evaluate("lab.state.bound = { ...lab.state.bound, bound: null, tube: null }")
+    page.evaluate("lab.responses.error.setMode('zoom')")
+    low, high = page.evaluate("['min', 'max'].map((k) => lab.responses.error.plot.scales.y[k])")
+    errors = page.evaluate("Array.from(lab.responses.rows.e())")
+    assert low < min(errors) and max(errors) < high
+    assert high - low < 1.5 * (max(errors) - min(errors))
+
+
 def test_what_a_run_says_stands_as_long_as_it_is_shown(shown):
     page = shown()
     shows = "document.querySelector('#note').textContent"
@@ -841,6 +957,17 @@ def test_a_narrow_page_asks_for_as_many_points_as_its_plots_are_wide(shown):
     at_rest(page)
     assert page.evaluate("lab.responses.plots[0].box.clientWidth") > 500
     assert page.evaluate("lab.state.run.times.length") > 500
+
+
+def test_measures_have_the_units_of_the_file(shown):
+    page = shown()
+    page.evaluate("lab.state.system = { ...lab.state.system, units: ['mm', 'mm', 'A'] }")
+    page.evaluate("lab.tasks.on.redraw()")
+    wait(page, "document.querySelector('#measures tbody th').title === 'certified bound, mm'")
+    titles = page.locator("#measures tbody th").evaluate_all("(all) => all.map((th) => th.title)")
+    assert sum(title.endswith(", mm") for title in titles) == 3 and any(
+        title.endswith(", A") for title in titles
+    )
 
 
 def test_a_huge_change_is_printed_short(shown):

@@ -1,6 +1,6 @@
 // The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
 import { attribute, byId, element, style, write } from "./dom.js";
-import { change, format, worded, writeWords } from "./numbers.js";
+import { change, format, hasBound, worded, writeWords } from "./numbers.js";
 
 const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
 const RUNGS = {
@@ -21,11 +21,10 @@ export class Guarantee {
   }
 
   reset() {
-    for (const id of ["facts", "ladder", "budget"]) byId(id).textContent = "";
+    for (const id of ["facts", "ladder", "premises", "premise-count", "certificate-count", "announce"]) byId(id).textContent = "";
     for (const id of ["measures", "certificates"]) byId(id).tBodies[0].textContent = "";
-    byId("premises").textContent = "";
-    this.exact = null;
-    this.badge("waiting");
+    this.draw();
+    this.tables();
   }
 
   badge(kind) {
@@ -34,28 +33,34 @@ export class Guarantee {
     write(badge, text);
   }
 
+  /** The run on the page; null if it is not of the present design and none will come. */
+  get run() {
+    const { run, failed, design } = this.state;
+    return failed === design && run?.design !== design ? null : run;
+  }
+
   /** What is known of the present design. */
   get kind() {
-    const { bound, textProblem, connected, run } = this.state;
+    const { run } = this, { bound, textProblem, connected } = this.state;
     if (!connected) return "stale";
     if (textProblem) return "text";
-    if (!bound || !run) return "waiting";
+    if (!bound) return "waiting";
     if (bound.contradicted?.length) return "contradicted";
-    if (!bound.bound) return "none";
-    if (!bound.exact || run.design !== bound.design) return "estimating";
+    if (!hasBound(bound)) return "none";
+    if (!bound.exact || (run && run.design !== bound.design)) return "estimating";
     if (!bound.verified) return "unverified";
     return bound.refining ? "refining" : "exact";
   }
 
   draw() {
-    const { bound, run, system, worst, design } = this.state;
-    if (!system || !run) return;
-    const kind = this.kind, unit = system.units[0], header = run.header;
+    const { bound, system, worst, design } = this.state;
+    if (!system) return;
+    const kind = this.kind, unit = system.units[0], header = this.run?.header;
     this.badge(kind);
     const big = byId("bound");
-    write(big.children[0], bound?.bound ? "≤" : "");
-    write(big.children[1], bound ? (bound.bound ? bound.text : "none") : "—");
-    write(big.children[2], bound?.bound ? unit : "");
+    write(big.children[0], hasBound(bound) ? "≤" : "");
+    write(big.children[1], bound ? (hasBound(bound) ? bound.text : "none") : "—");
+    write(big.children[2], hasBound(bound) ? unit : "");
     style(big, `big ${kind === "exact" || kind === "refining" ? "" : kind === "contradicted" ? "struck" : "muted"}`);
     writeWords(byId("meaning"), this.meaning(bound, kind));
     const now = worst && worst.design === design ? worst : null;
@@ -63,14 +68,14 @@ export class Guarantee {
     this.alarm(now, bound, unit);
     style(byId("facts"), bound?.exact ? "rows" : "rows old");
     const runKind = byId("run-kind");
-    runKind.hidden = !system.drive;
-    write(runKind, header.sampled ? "as the drive runs it" : "continuous");
+    runKind.hidden = !system.drive || !header;
+    write(runKind, header?.sampled ? "as the drive runs it" : "continuous");
   }
 
   meaning(bound, kind) {
     if (!bound) return "compiling …";
     if (kind === "contradicted") return `${bound.contradicted[0].name}: ${bound.contradicted[0].detail}: the bound does not apply to this file's own truth.`;
-    if (!bound.bound) return bound.reason || "no certificate";
+    if (!hasBound(bound)) return bound.reason || "no certificate";
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
     if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
     if (bound.exact && bound.refining && bound.reason.startsWith("of the continuous law")) return "largest |e₁| once settled, of the continuous law, by the fast proof; the finer one, of the loop as the drive runs it where that can be proven, is on its way";
@@ -94,7 +99,7 @@ export class Guarantee {
   }
 
   ladder(header, worst, bound, outdated) {
-    const box = byId("ladder"), simulated = header.metrics.tail_error;
+    const box = byId("ladder"), simulated = header?.metrics.tail_error, said = header?.texts.tail_error ?? "—";
     if (!box.childElementCount) {
       for (const [label, color] of [["simulated", "--output"], ["worst found", "--worst"], ["certified", "--bound"]]) {
         const bar = element("i");
@@ -102,21 +107,23 @@ export class Guarantee {
         box.append(element("span", { title: RUNGS[label] }, label), element("span", { class: "track" }, bar), element("b"));
       }
     }
-    const most = Math.max(simulated ?? 0, worst?.worst ?? 0, bound?.bound ?? 0) || 1;
-    const values = [[simulated, header.texts.tail_error], [worst?.worst, worst ? worst.text : outdated ? "outdated" : "not searched"], [bound?.bound, bound?.bound ? bound.text : "—"]];
+    const values = [[simulated, said], [worst?.worst, worst ? worst.text : outdated ? "outdated" : "not searched"], [bound?.bound, hasBound(bound) ? bound.text : "—"]];
+    const most = Math.max(...values.map(([value]) => (Number.isFinite(value) ? value : 0))) || 1; // an infinite one fills its track
     values.forEach(([value, text], k) => {
-      box.children[3 * k + 1].firstChild.style.transform = `scaleX(${value ? Math.min(1, value / most) : 0})`;
+      box.children[3 * k + 1].firstChild.style.transform = `scaleX(${value > 0 ? Math.min(1, value / most) : 0})`;
       write(box.children[3 * k + 2], text ?? "—");
     });
     write(box.children[6], bound?.contradicted?.length ? "not certified" : bound && !bound.exact ? "estimated" : "certified");
-    attribute(box, "aria-label", `simulated ${header.texts.tail_error}, ${worst ? `worst found ${worst.text}, ` : ""}${bound?.bound ? `bound ${bound.text}` : "no bound"}`);
+    attribute(box, "aria-label", `simulated ${said}, ${worst ? `worst found ${worst.text}, ` : ""}${hasBound(bound) ? `bound ${bound.text}` : "no bound"}`);
   }
 
   measures(system, header, bound, before) {
     const body = byId("measures").tBodies[0], unit = system.units[0], input = system.units.at(-1);
     const units = { tail_error: unit, rms_error: unit, peak_input: input };
     const names = Object.keys(system.metrics);
-    if (body.rows.length !== names.length + 1) {
+    const labels = JSON.stringify([system.metrics, unit, input]);
+    if (this.labels !== labels || !body.rows.length) {
+      this.labels = labels;
       body.textContent = "";
       const row = (label, small) => body.append(element("tr", {}, element("th", { scope: "row", title: small ? `${label}, ${small}` : label }, ...worded(label), small ? element("small", {}, ` ${small}`) : null), element("td"), element("td"), element("td")));
       row("certified bound", unit);
@@ -130,16 +137,16 @@ export class Guarantee {
       style(cells[3], better && shift[0] === "−" ? "down" : better && shift[0] === "+" ? "up" : "");
     };
     const alike = bound?.exact && !bound.contradicted?.length && bound.effort === before?.bound?.effort; // a fast proof may be worse than the finer one
-    fill(0, before?.bound?.text, bound?.contradicted?.length ? "none" : bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, alike ? bound.bound : null, true);
+    fill(0, before?.bound?.text, bound && (!hasBound(bound) || bound.contradicted?.length ? "none" : bound.exact ? bound.text : "estimating"), before?.bound?.bound, alike ? bound.bound : null, true);
     body.rows[0].cells[1].title = before?.bound?.effort === "fast" ? "by the fast proof: the finer one had not come" : "";
-    const same = before?.run?.header.sampled === header.sampled;
-    names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
+    const same = header && before?.run?.header.sampled === header.sampled;
+    names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header?.texts[name], same ? before.run.header.metrics[name] : null, header?.metrics[name], LESS_IS_BETTER.has(name)));
   }
 
   /** Measures, and where the bound comes from. */
   tables() {
-    const { bound, run, system, before } = this.state;
-    this.measures(system, run.header, bound, before);
+    const { bound, system, before } = this.state;
+    this.measures(system, this.run?.header, bound, before);
     this.budget(bound);
   }
 
@@ -148,14 +155,14 @@ export class Guarantee {
     const facts = byId("facts");
     facts.textContent = "";
     const broken = exact.contradicted.length > 0, unit = system.units[0], rows = [["method", exact.method || "—"], ...(broken ? [] : exact.facts)];
-    const simulated = this.state.run?.header.metrics.tail_error;
-    if (exact.bound && simulated && !broken) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
+    const simulated = this.run?.header.metrics.tail_error;
+    if (exact.bound > 0 && simulated && !broken) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
     for (const [name, value] of rows) facts.append(element("dt", {}, name), element("dd", {}, value));
     const body = byId("certificates").tBodies[0];
     body.textContent = "";
     for (const entry of exact.certificates) {
       const best = entry.kind === exact.method;
-      body.append(element("tr", { class: best ? "best" : "" }, element("th", { scope: "row", title: entry.reason || null }, entry.kind), element("td", {}, entry.bound ? `${entry.text} ${unit}` : "—"), element("td", {}, entry.verified ? "verified" : "—")));
+      body.append(element("tr", { class: best ? "best" : "" }, element("th", { scope: "row", title: entry.reason || null }, entry.kind), element("td", {}, hasBound(entry) ? `${entry.text} ${unit}` : "—"), element("td", {}, entry.verified ? "verified" : "—")));
     }
     write(byId("certificate-count"), `${exact.certificates.filter((entry) => entry.verified).length} verified`);
     this.premises(exact.premises, broken);

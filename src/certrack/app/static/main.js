@@ -127,6 +127,10 @@ function problem(header, { design, view, revision }) {
   }
   if (revision && revision !== state.revision) return null;
   if (["run", "set"].includes(what)) requests.landed(design, view);
+  if (what === "run" && !header.superseded) {
+    state.failed = design;
+    frame();
+  }
   if (["bound", "exact"].includes(what)) return unproven(header, design);
   if (message) note(message);
   return requests.goOn();
@@ -201,7 +205,7 @@ function exact(header, design) {
   guarantee.proven(header, state.system);
   if (header.effort === "fast") state.fast = state.bound;
   if (state.before?.design === design) Object.assign(state.before, { bound: state.bound, fast: fastOf(design) });
-  write(byId("announce"), header.contradicted.length ? "A premise is contradicted: no certified bound" : header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
+  write(byId("announce"), header.contradicted.length ? "A premise is contradicted: no certified bound" : hasBound(header) ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
   if (state.run) responses.describe(state.system, state.run, state.bound);
   together.now();
 }
@@ -231,7 +235,7 @@ function frame() {
 }
 
 function draw() {
-  if (!state.system || !state.run) return;
+  if (!state.system) return;
   if (!state.before) pinned(false);
   responses.draw();
   guarantee.draw();
@@ -243,7 +247,7 @@ function draw() {
 const showTables = spaced(tables, READABLE);
 
 function tables() {
-  if (!state.system || !state.run) return;
+  if (!state.system) return;
   guarantee.tables();
   const header = state.run?.header;
   keepNote(header && header.outcome !== "finished" ? `stopped at t = ${header.end.toPrecision(4)} s: ${header.message}` : "");
@@ -354,11 +358,11 @@ byId("law-card").addEventListener("toggle", ({ target }) => {
 });
 
 addEventListener("resize", settled(() => {
+  plotsWidth = 0;
   nextView();
   requests.submit();
 }, RESIZED));
 
-  plotsWidth = 0;
 new ResizeObserver(() => (plotsWidth = 0)).observe(byId("plots")); // to ask for it at each move would lay out the page in between
 
 addEventListener("hashchange", () => state.greeting && designs.follow(files.linked()));

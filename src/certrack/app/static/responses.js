@@ -1,6 +1,6 @@
 // The plots of a run, on one axis of time.
 import { write } from "./dom.js";
-import { format, nameParts } from "./numbers.js";
+import { format, hasBound, nameParts } from "./numbers.js";
 import { Plot } from "./plot.js";
 
 const LINES = ["--line-1", "--line-2", "--line-3", "--line-4"], DASHES = [undefined, [6, 3], [2, 3], [8, 3, 2, 3]];
@@ -109,7 +109,7 @@ export class Responses {
       bands: [{ of: [2, 3] }],
       ghosts: () => [...this.before("e"), ...this.optimum("e"), ...this.worstCurve()],
       handles: () => this.tuneHandles("error", unit),
-      range: (low, high, axis) => (axis === "zoom" && state.bound ? [-1.6 * state.bound.bound, 1.6 * state.bound.bound] : null),
+      range: (low, high, axis) => (axis === "zoom" && state.bound?.bound > 0 ? [-1.6 * state.bound.bound, 1.6 * state.bound.bound] : null),
       limits: (plot) => this.errorLimits(plot, unit),
     };
   }
@@ -123,7 +123,7 @@ export class Responses {
 
   errorLimits(plot, unit) {
     const { bound, worst, design } = this.state, limits = [], shown = unit ? ` ${unit}` : "";
-    if (bound?.bound) {
+    if (hasBound(bound)) {
       const word = bound.contradicted?.length ? "not certified" : bound.exact ? "certified" : "estimated";
       limits.push({ y: bound.bound, color: "--bound", label: `${word} ${bound.text}${shown}`, fit: plot.mode === "log" });
       if (plot.mode !== "log") limits.push({ y: -bound.bound, color: "--bound" });
@@ -221,8 +221,9 @@ export class Responses {
     const { run, bound, system } = this.state;
     if (!run || !system) return;
     if (this.of !== system) Object.assign(this, { of: system, dragged: null });
-    this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
-    this.error.settled = run.header.metrics.tail_error;
+    const tail = run.header.metrics.tail_error;
+    this.error.linear = bound?.bound || Math.max(1e-6, Number.isFinite(tail) ? tail : 1e-2); // a scale is never 0
+    this.error.settled = tail;
     if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
     for (const plot of this.plots) {
       const sources = [run, system, ...this.window, ...plot.others()];
@@ -257,7 +258,7 @@ export class Responses {
       });
       plot.describe(`${plot.spec.title} over ${system.duration} s: ${parts.filter(Boolean).join(", ")} ${plot.spec.unit}`.trim());
     }
-    const certified = bound?.bound ? `; certified ${bound.text} ${unit}` : "";
+    const certified = hasBound(bound) ? `; certified ${bound.text} ${unit}` : "";
     this.error.describe(`Error over ${system.duration} seconds: after ${system.tail} s at most ${run.header.texts.tail_error} ${unit}${certified}`);
   }
 }

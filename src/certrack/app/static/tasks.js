@@ -2,7 +2,7 @@
 import { byId, element, write } from "./dom.js";
 import { Drawer, sentence, table } from "./drawer.js";
 import { Fan } from "./fan.js";
-import { typed } from "./numbers.js";
+import { hasBound, typed } from "./numbers.js";
 import { Tuning } from "./tuning.js";
 
 const PINNED = "Pinned designs";
@@ -211,8 +211,8 @@ export class Tasks {
 
   /** What is compared of a design; a bound of the fast proof says so, because the finer one of another may be smaller. */
   column(run, bound) {
-    const proven = bound?.exact && bound.bound ? `${bound.text}${bound.refining ? " (fast proof)" : ""}` : "—";
-    return [proven, ...Object.keys(this.state.system.metrics).map((name) => run.header.texts[name] ?? "—")];
+    const proven = bound?.exact && hasBound(bound) ? `${bound.text}${bound.refining ? " (fast proof)" : ""}` : "—";
+    return [proven, ...Object.keys(this.state.system.metrics).map((name) => run?.header.texts[name] ?? "—")];
   }
 
   /** The present design in the list of pins follows its moves, and so do the bounds of pins that are being refined. */
