@@ -74,8 +74,10 @@ def _fields(document: Any, table: str) -> Iterator[dict[str, Any]]:
     if table in NAMED:
         for name in entries or {}:
             if name not in keys:
-                help_text = "a name usable in every formula"
-                yield _field(f"{table}.{name}", name, Key("any", help=help_text), entries[name])
+                label, help_text = name, "a name usable in every formula"
+                if table == "plant.ranges":
+                    label, help_text = f"range of {name}", "its lowest and its highest value"
+                yield _field(f"{table}.{name}", label, Key("any", help=help_text), entries[name])
 
 
 def _field(path: str, name: str, key: Key, value: Any) -> dict[str, Any]:

@@ -224,7 +224,7 @@ def _tune(
     system: System, options: Mapping[str, Any], progress: TaskProgress, show: Show
 ) -> TaskResult:
     """Gains within limits, before and after."""
-    from certrack.reports.tuning import tuned_bounds
+    from certrack.reports.tuning import price_lines, tuned_bounds
     from certrack.tuning.result import Tuned
     from certrack.tuning.tune import finishing_step, tune
 
@@ -264,7 +264,7 @@ def _tune(
         "table": table,
         "gains": {gain.path: gain.value for gain in movable_gains(result.system)},
         "limits": list(result.limits),
-        "active": [limit.summary() for limit in result.active],
+        "active": price_lines(result),
         "notes": [*result.notes, *result.broken],
         "front": None
         if result.front is None

@@ -2,7 +2,7 @@
 import { element } from "./dom.js";
 import { sentence, table } from "./drawer.js";
 import { frontChart } from "./front.js";
-import { format, typed } from "./numbers.js";
+import { typed } from "./numbers.js";
 
 const OBJECTIVES = { error: "certified error", peak: "peak input", energy: "input energy", period: "longest stable period" };
 const LIMITS = [
@@ -69,7 +69,7 @@ export class Tuning {
   done(header) {
     const apply = element("button", { class: "primary", onclick: () => this.on.apply(header.gains) }, "Use these gains");
     const again = element("button", { onclick: () => this.form() }, "Change the limits");
-    const notes = [...header.active.map((limit) => `Active: ${limit.limit} ${format(limit.value)}; a tenth more of it gains ${(100 * Math.abs(limit.price)).toFixed(1)} %.`), ...header.notes, `Limits: ${[...new Set(header.limits)].join(", ") || "none"}.`];
+    const notes = [...header.active, ...header.notes, `Limits: ${[...new Set(header.limits)].join(", ") || "none"}.`];
     const result = element("div", {}, element("div", { class: "actions" }, apply, again), table(["", "before", "after"], header.table), ...notes.map(sentence));
     if (header.front) this.front = header.front;
     const swept = header.front ?? (this.fromFront ? this.front : null);
