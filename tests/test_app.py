@@ -18,6 +18,7 @@ from certrack.app.frames import (
 )
 from certrack.app.messages import MAX_MESSAGE, MAX_TEXT_BYTES, GainMove, parse_message
 from certrack.app.outbox import QUEUE
+from certrack.app.server import _refusal
 from certrack.app.session import PAUSE, Session
 from certrack.core.errors import InputError
 
@@ -85,6 +86,18 @@ def test_decimation_keeps_a_peak_of_one_sample_and_the_order_of_extremes():
         ('{"type": "open", "source": "url", "name": "x", "revision": 1}', "must be one of"),
         ('{"type": "task", "task": "rm", "revision": 1}', "must be one of"),
         ('{"type": "save", "name": "a\\nb", "text": ""}', "printable"),
+        *(
+            (json.dumps({"x": 1, **message})[:-1] + f', "{key}": {deep}}}', "lists in each other")
+            for deep in ("[" * 600 + "]" * 600, '{"a":' * 300 + "[1]" + "}" * 300)
+            for message, key in (
+                ({}, "type"),
+                (SET, "pixels"),
+                (SET, "window"),
+                (SET, "gains"),
+                ({"type": "hello"}, "protocol"),
+                ({"type": "task", "task": "tune", "design": 1, "revision": 1}, "options"),
+            )
+        ),
         ("x" * (MAX_MESSAGE + 1), "longer than"),
         ("\N{GREEK SMALL LETTER THETA}" * (MAX_MESSAGE // 2 + 1), "longer than"),
         (json.dumps({"type": "save", "name": "a", "text": "x" * (MAX_TEXT_BYTES + 1)}), "512 kB"),
@@ -94,6 +107,9 @@ def test_a_message_that_is_none_is_refused_in_words(text, says):
     with pytest.raises(InputError) as refused:
         parse_message(text)
     assert says in str(refused.value)
+    answer = frame_header(_refusal(text, refused.value))
+    assert answer["message"] == str(refused.value)
+    assert answer["of"] is None or isinstance(answer["of"], str)
 
 
 def test_a_move_is_read():

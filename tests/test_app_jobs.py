@@ -7,6 +7,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import certrack
 from certrack.app.form import form_of, with_entries, with_numbers, with_reference_table
@@ -17,16 +18,20 @@ from certrack.app.frames import (
 )
 from certrack.app.gains import movable_gains, with_gains
 from certrack.app.jobs import JOBS, JobContext
-from certrack.app.long_tasks import FIRST_MEMBERS, MORE_MEMBERS, run_task
+from certrack.app.long_tasks import FIRST_MEMBERS, MORE_MEMBERS, _runs_spent, run_task
 from certrack.app.open_design import Designs, continuous_law
 from certrack.app.order import names_typed, with_states
 from certrack.app.profiles import DRAWN_ORDER, reference_record
 from certrack.app.responses import metric_texts
 from certrack.app.task_progress import TaskProgress
+from certrack.cli import cli
 from certrack.core.errors import InputError
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS, table
+from certrack.reports.tuning import eased
 from certrack.simulation.metrics import METRIC_LABELS
+from certrack.studies.falsifier.drive import DriveFalsification
+from certrack.tuning.result import ActiveLimit
 
 # plant and law as formulas
 
@@ -184,6 +189,50 @@ def test_a_window_is_computed_anew(context):
     assert rows[1] == pytest.approx(run.trajectory.interpolate(times)[0], abs=1e-5)
 
 
+#: Its states grow beyond all limits within a fraction of a second.
+ESCAPING = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+linear = [[0]]
+drift = "0"
+regressor = []
+gain_sign = 1
+input_gain = 1
+theta = []
+[plant.uncertainty]
+tau = [0.1, 0.1]
+gamma = [0, 0]
+beta = [9, 9]
+[truth]
+input_gain = 1
+theta = []
+omega = ["0", "30*x2**3"]
+[reference]
+signal = "0"
+[law]
+kind = "robust"
+c = [2, 2]
+feedforward = 1
+[simulation]
+x0 = [1.0, 1.0]
+duration = 8
+tail = 1
+"""
+
+
+@pytest.mark.parametrize("window", [[4.0, 5.0], [0.0, 5.0], [9.0, 10.0], [-3.0, -2.0]])
+def test_no_window_shows_more_than_the_run(context, window):
+    data = carried_out(context, job("run", text=ESCAPING, window=window))
+    header, rows = frame_header(data), frame_arrays(data)
+    run = certrack.simulate(certrack.loads(ESCAPING))
+    assert header["outcome"] == "escaped" and header["end"] == run.trajectory.end < 1
+    times = rows[0].astype(float) + header["t0"]
+    assert times.min() >= 0 and times.max() <= run.trajectory.end * (1 + 1e-6)
+    largest = np.abs(run.x).max(axis=1)
+    assert all(np.abs(rows[1 + i]).max() <= largest[i] * (1 + 1e-6) for i in range(2))
+
+
 def test_a_bound_is_the_estimate_and_the_exact_one_is_what_certify_proves(context):
     gains = {"law.c[0]": 7.0}
     work = {"name": "dual-motor-lean", "gains": gains}
@@ -205,6 +254,29 @@ def test_a_text_that_is_wrong_is_told_with_its_line(context):
     header = frame_header(carried_out(context, job("describe", text=text)))
     assert header["problem"]["line"] == 9 and header["problem"]["key"] == "plant.drift"
     assert "unknown name 'x9'" in header["problem"]["message"]
+
+
+#: The uncertainty is too strong for the gains.
+UNCERTAIN = (
+    ESCAPING.replace("tau = [0.1, 0.1]", "tau = [5, 5]")
+    .replace("gamma = [0, 0]", "gamma = [5, 5]")
+    .replace('"30*x2**3"', '"0"')
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (UNCERTAIN, "lower tau, raise c"),
+        (certrack.starter("example1-classic"), "without leakage the estimates may drift"),
+    ],
+)
+def test_why_there_is_no_bound_is_what_the_command_line_says(context, tmp_path, text, says):
+    header = frame_header(carried_out(context, job("exact", text=text, effort="fast")))
+    assert header["bound"] is None and says in header["reason"]
+    (tmp_path / "none.toml").write_text(text)
+    run = CliRunner().invoke(cli, ["certify", str(tmp_path / "none.toml"), "--effort", "fast"])
+    assert f"certrack: no certificate: {header['reason']}\n" in run.output
 
 
 def test_a_contradicted_premise_is_told_with_its_remedy(context):
@@ -404,6 +476,20 @@ def test_reports_have_their_words_and_the_first_of_each_part_is_shown():
         "step 2, steps 2",  # a bound that is not proven yet is not said
     ]
     assert [frame_header(frame)["share"] for frame in frames] == [0, 400 / 6000, None]
+
+
+def test_runs_spent_are_said_of_their_loop():
+    drive = DriveFalsification(1.0, None, None, None, None)
+    assert _runs_spent(6255, None) == "6255"
+    said = "6255 of the continuous law; 40 of the loop as the drive runs it"
+    assert _runs_spent(6255, dataclasses.replace(drive, runs=40)) == said
+    assert _runs_spent(6255, drive).endswith("by its linear kernels")
+
+
+def test_a_limit_from_below_is_eased_by_less_of_it():
+    assert eased(ActiveLimit("period", 0.01, 0.16)) == "10 % shorter period"
+    assert eased(ActiveLimit("delay margin", 0.01, 0.16)) == "10 % shorter delay margin"
+    assert eased(ActiveLimit("peak input", 40.0, 0.16)) == "10 % more peak input"
 
 
 @pytest.mark.slow

@@ -1,20 +1,25 @@
 """Files, requests and keys of the designer, and what a machine without its packages is told."""
 
 import asyncio
+import errno
 import json
 import os
 import socket
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import certrack
+from certrack.app import server as server_module
+from certrack.app.frames import frame_header, frame_prefix
 from certrack.app.launch import _listening, first_design, folder_of, serve_designer
 from certrack.app.messages import MAX_TEXT_BYTES, parse_message
 from certrack.app.security import Access
 from certrack.app.server import AppServer, static_files
+from certrack.app.session import Session
 from certrack.app.workspace import FileChanged, Workspace
 from certrack.core.errors import InputError
 
@@ -79,6 +84,63 @@ def test_texts_have_one_limit_wherever_they_come_from(tmp_path):
         parse_message(json.dumps(message | {"text": text}))
         with pytest.raises(InputError, match="larger than 512 kB"):
             parse_message(json.dumps(message | {"text": text + "x"}))
+
+
+NAMES_TOO_LONG = ["a" * 300, "a" * 253, "a/" + "b" * 300, "a" * 300 + "/b"]
+
+
+@pytest.mark.parametrize("name", NAMES_TOO_LONG)
+def test_a_name_that_the_disk_does_not_take_is_told(tmp_path, name):
+    space = Workspace(tmp_path)
+    (tmp_path / "a").mkdir()
+    with pytest.raises(InputError, match="File name too long"):
+        space.write(name, "x", known="")
+    if len(name) > 255:
+        with pytest.raises(InputError, match="File name too long.*Choose a shorter name"):
+            space.read(name)
+    assert [path.name for path in tmp_path.rglob("*")] == ["a"]
+
+
+def test_a_folder_that_may_not_be_looked_into_is_told(tmp_path, monkeypatch):
+    def locked(self, **_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+
+    space = Workspace(tmp_path)
+    monkeypatch.setattr(Path, "exists", locked)
+    for request in (lambda: space.read("a.toml"), lambda: space.write("a", "x", known="")):
+        with pytest.raises(InputError, match=r"cannot be looked up \(Permission denied\)"):
+            request()
+
+
+@pytest.mark.parametrize(
+    ("problem", "says"),
+    [
+        (InputError("a", "is no file"), "a: is no file"),
+        (OSError(errno.EIO, "Input/output error"), "The disk refused it: Input/output error."),
+        (ValueError("no idea"), "ValueError: no idea"),
+    ],
+)
+def test_whatever_goes_wrong_with_the_disk_is_an_answer(problem, says):
+    async def fails():
+        raise problem
+
+    async def succeeds():
+        done.append(True)
+
+    async def talk():
+        session = Session()
+        disk = server_module._OneAfterAnother(session)
+        disk.begin("save", fails(), 7)
+        disk.begin("save", succeeds(), 8)
+        frame = await asyncio.wait_for(session.outgoing.get(), 10)
+        while not done:
+            await asyncio.sleep(0)
+        return frame
+
+    done: list[bool] = []
+    frame = asyncio.run(talk())
+    assert frame_prefix(frame).kind.name == "PROBLEM" and frame_prefix(frame).revision == 7
+    assert frame_header(frame)["message"] == says and frame_header(frame)["of"] == "save"
 
 
 def test_a_folder_without_end_is_listed_in_time(tmp_path, monkeypatch):

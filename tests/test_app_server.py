@@ -248,6 +248,14 @@ def test_files_are_saved_over_what_is_known_only(server, tmp_path_factory):
             await client.send("open", source="file", name="nothing.toml")
             prefix, problem, _ = await client.receive("PROBLEM")
             assert problem["of"] == "open" and prefix.revision == client.revision
+            for kind, more in (("open", {"source": "file"}), ("save", {"text": text})):
+                await client.send(kind, name="a" * 300, **more)
+                problem = (await client.receive("PROBLEM"))[1]
+                assert problem["of"] == kind and "File name too long" in problem["message"]
+            await client.connection.send('{"type": ' + "[" * 600 + "]" * 600 + "}")
+            assert "in each other" in (await client.receive("PROBLEM"))[1]["message"]
+            await client.send("save", **saved | {"name": "still-here.toml"})
+            await client.receive("NOTE", where=lambda h: "saved" in h)
 
     asyncio.run(talk())
 

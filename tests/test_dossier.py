@@ -24,6 +24,7 @@ from certrack.reports.formula_pictures import broken, formula_svgs
 from certrack.reports.guarantee import guarantee_section
 from certrack.reports.pages import to_html, to_latex, to_markdown
 from certrack.reports.system_sections import plant_section
+from certrack.studies.falsifier.drive import DriveFalsification
 from certrack.studies.falsifier.falsify import Falsification
 
 CASES = Path(__file__).parent / "data" / "cases"
@@ -230,6 +231,30 @@ def test_a_bound_of_the_continuous_law_says_so_where_there_is_a_drive(found):
     assert "as the drive runs it, from x0" in dossier_of(found).summary[0]
     first = dossier_of(replace(found, certificates=certificates)).summary[0]
     assert "of the continuous law; nothing is verified of the loop as the drive runs it" in first
+
+
+def test_the_worst_case_of_the_summary_is_of_the_loop_of_its_bound(found):
+    bounds, implemented = {"peak": found.certificates.peak}, found.certificates.implemented
+    calm = Falsification(2e-3, found.system, 100, bounds, None, None, "", own_run=False)
+    drive = DriveFalsification(1e-3, None, found.system, None, implemented)
+    of_drive = "of the loop as the drive runs it"
+
+    def line(found):
+        return next(text for text in dossier_of(found).summary if "worst admissible" in text)
+
+    def with_drive(drive, **more):
+        return line(replace(found, falsification=replace(calm, drive=drive, **more)))
+
+    assert found.certificates.best is implemented
+    assert with_drive(drive) == f"worst admissible case found, {of_drive}: 0.001"
+    assert "the bound is not for it" in with_drive(replace(drive, worst_error=9.0, limited=True))
+    left_out = {"drive": "the loop is not linear"}
+    said = f"no worst admissible case was found {of_drive}: the loop is not linear"
+    assert with_drive(None, left_out=left_out) == said
+    continuous = replace(found.certificates, implemented=replace(implemented, verified=False))
+    both = replace(calm, drive=drive)
+    shown = line(replace(found, certificates=continuous, falsification=both))
+    assert shown == "worst admissible case found, of the continuous law: 0.002"
 
 
 def test_an_alarm_stands_at_the_top_and_is_not_sound(found):

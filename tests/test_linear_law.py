@@ -247,6 +247,9 @@ def test_the_design_prints_them():
     assert "12 e_1^2 + 12 e_2^2 + 12 e_3^2 + 6 e_4^2 + 0.1667 v^2" in text
     assert "margins at v, what the law adds to the last e': gain 0 to inf" in text
     assert "margins at u, the input of the plant: gain 0.2578 to inf, phase 58.06 degrees" in text
+    assert "degrees (of" not in text
+    sampled = str(certrack.load("dual-motor-drive").design())
+    assert sampled.count("degrees (of the continuous law)") == sampled.count("margins at ") > 0
     A = np.array(record["A"])
     expected = A.T @ np.diag([12, 12, 12, 6]) @ A
     np.testing.assert_allclose(record["cost"]["of_states"], expected)

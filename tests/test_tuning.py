@@ -17,6 +17,7 @@ from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.methods import certify_peak
+from certrack.core.errors import InputError
 from certrack.loops.stability import linear_loop
 from certrack.systems.edit import with_law
 from certrack.tuning.candidate import Candidate
@@ -305,6 +306,9 @@ class TestRefusals:
         certrack.save(system, tmp_path / "plain.toml")
         err = self.refusal(capfd, str(tmp_path / "plain.toml"), "--peak-input", "40")
         assert "must hold over a box of starts" in err and "--box -1:1" in err
+        with pytest.raises(InputError, match=r"State ensemble\.x0") as refused:
+            certrack.tune(system, peak_input=40)
+        assert "--" not in str(refused.value)  # a page has no options
 
 
 def test_only_the_law_is_another():

@@ -88,7 +88,7 @@ def _certificate(system: System) -> bytes:
 
     results = certify(system)
     if not results.stages:
-        reason = results.best.reason or "nothing is verified"
+        reason = results.reason or results.best.reason or "nothing is verified"
         raise InputError("certificate", f"there is none to export: {reason}")
     return json.dumps(to_document(system, *results.stages), indent=1).encode()
 

@@ -129,7 +129,7 @@ def _reason(system: System, results: Certificates) -> str:
     if results.contradicted:
         return results.contradicted[0].detail
     if not results.best.exists:
-        return results.vertices.reason or results.semidefinite.reason or results.best.reason
+        return results.reason
     if results.best is results.sampled or system.implementation is None:
         return ""
     if results.sampled.verified:

@@ -23,6 +23,7 @@ from certrack.systems.system import System
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
+    from certrack.studies.falsifier.drive import DriveFalsification
 
 #: Columns of pixels of the curve of a worst case.
 WORST_PIXELS = 1200
@@ -120,6 +121,7 @@ def _falsify(
         "worst": worst,
         "text": number_text(worst if math.isfinite(worst) else None),
         "runs": result.evaluations,
+        "spent": _runs_spent(result.evaluations, drive),
         "loop": "implemented" if of_drive else "continuous",
         "certified": None if bound is None else printed_bound(bound, BOUND_TEXT_DIGITS),
         "ratio": bound / worst if bound is not None and worst else None,
@@ -130,6 +132,15 @@ def _falsify(
         "stopped": result.stopped,
     }
     return header, [times, *rows]
+
+
+def _runs_spent(runs: int, drive: DriveFalsification | None) -> str:
+    """Of which loop the runs of a search are; a linear drive's case is found without any."""
+    if drive is None:
+        return str(runs)
+    loop = "the loop as the drive runs it"
+    of_drive = f"{drive.runs} of {loop}" if drive.runs else f"{loop} by its linear kernels"
+    return f"{runs} of the continuous law; {of_drive}"
 
 
 def _ensemble(

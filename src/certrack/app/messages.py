@@ -20,6 +20,9 @@ MAX_TEXT_BYTES = MAX_MESSAGE // 2
 #: Gains, and entries of a form, that one message may change.
 MAX_ENTRIES_CHANGED = 2000
 
+#: Lists and tables in each other that a message may have: the deepest that a page sends has four.
+MAX_MESSAGE_DEPTH = 16
+
 #: Columns of pixels that a plot may have.
 LEAST_PIXELS, MOST_PIXELS = 50, 8000
 
@@ -177,12 +180,24 @@ def parse_message(text: str) -> Message:
         raise InputError("message", "is not JSON") from None
     if not isinstance(values, dict):
         raise InputError("message", "must be an object", values)
+    _require_shallow(values)
     kind = checks.choice("type", values.get("type"), _READERS)
     try:
         message: Message = _READERS[kind](values)
     except KeyError as missing:
         raise InputError(f"message.{missing.args[0]}", "is missing") from None
     return message
+
+
+def _require_shallow(values: Any) -> None:
+    """Refuse what whoever walks through it, here or in a worker, could not come to the end of."""
+    level = [values]
+    for _ in range(MAX_MESSAGE_DEPTH):
+        tables = (entry.values() if isinstance(entry, dict) else entry for entry in level)
+        level = [v for entries in tables for v in entries if isinstance(v, (dict, list))]
+        if not level:
+            return
+    raise InputError("message", f"has lists in each other, more than {MAX_MESSAGE_DEPTH} of them")
 
 
 def _move(values: dict[str, Any]) -> GainMove:

@@ -67,12 +67,16 @@ def run_frame(
 def curves(
     run: Run, window: tuple[float, float] | None, pixels: int = 4000
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times and rows: of the whole run its own samples, of a part of it as many as are seen."""
-    system, plant = run.system, run.system.plant
-    if window is None or (window[0] <= 0 and window[1] >= run.trajectory.end):
+    """Times and rows: of the whole run its own samples, of a part of it as many as are seen.
+
+    A window that lies beside the run, such as behind its escape, has only the run's nearest end:
+    there is no solution beyond it.
+    """
+    system, plant, end = run.system, run.system.plant, run.trajectory.end
+    if window is None or (window[0] <= 0 and window[1] >= end):
         return run.t, [*run.x, run.x[0] - run.y_d, run.y_d, run.u, *run.z]
-    low, high = max(window[0], 0.0), min(window[1], run.trajectory.end)
-    t = np.linspace(low, max(high, low), POINTS_PER_PIXEL * pixels)
+    low, high = (min(max(side, 0.0), end) for side in window)
+    t = np.linspace(low, high, POINTS_PER_PIXEL * pixels)
     states = run.trajectory.interpolate(t)
     x = measured(system, states)
     y_d = system.reference.values(t, 0)[0]

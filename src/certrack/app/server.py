@@ -243,8 +243,15 @@ class _OneAfterAnother:
             try:
                 await work
             except CertrackError as problem:
-                header = {"message": str(problem), "of": kind}
-                self._session.send(pack_frame(FrameKind.PROBLEM, header, revision=revision))
+                header: dict[str, Any] = {"message": str(problem)}
+            except OSError as problem:
+                header = {"message": f"The disk refused it: {problem.strerror or problem}."}
+            except Exception as problem:  # a defect must not leave the page without an answer
+                header = {"message": f"{type(problem).__name__}: {problem}", "defect": True}
+            else:
+                return
+            header["of"] = kind
+            self._session.send(pack_frame(FrameKind.PROBLEM, header, revision=revision))
 
     def stop(self) -> None:
         """The page is gone: what has not begun is not done."""
@@ -263,7 +270,7 @@ def _refusal(text: str, problem: CertrackError) -> bytes:
     """What is wrong with a message, with the kind and the counters that it has."""
     try:
         values = json.loads(text)
-        kind = values.get("type")
+        kind = value if isinstance(value := values.get("type"), str) else None
     except (ValueError, AttributeError, RecursionError):
         kind, values = None, {}
     counters: dict[str, Any] = {

@@ -14,7 +14,7 @@ from typing import Any
 
 from certrack.app.messages import require_text_size
 from certrack.core.errors import InputError
-from certrack.core.files import write_text
+from certrack.core.files import REMEDIES, write_text
 from certrack.systems.tables import read_bytes
 
 #: Files that a page is told of, folders below that are looked into, and entries that are looked at.
@@ -153,7 +153,12 @@ class Workspace:
             raise outside from None
         if not path.is_relative_to(self.folder) or path == self.folder:
             raise outside
-        if path.exists() and not path.is_file():
+        try:
+            no_file = path.exists() and not path.is_file()
+        except OSError as problem:  # a part that is too long, a folder that may not be looked into
+            reason = f"cannot be looked up ({problem.strerror or problem})"
+            raise InputError(name, reason, remedy=REMEDIES.get(problem.errno or 0, "")) from None
+        if no_file:
             raise InputError(name, "is no file")
         return path
 
@@ -189,8 +194,15 @@ def _system_files(folder: Path, depth: int, end: float) -> Iterator[Path]:
                 continue
             if entry.name.endswith(".toml"):
                 yield Path(entry.path)
-            elif left > 1 and entry.is_dir(follow_symlinks=False):
+            elif left > 1 and _is_folder(entry):
                 folders.append((Path(entry.path), left - 1))
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir(follow_symlinks=False)
+    except OSError:
+        return False
 
 
 def _beginning(path: Path) -> str:

@@ -175,6 +175,13 @@ class Certificates(ShownInNotebooks):
         return self.semidefinite if best is None else best
 
     @property
+    def reason(self) -> str:
+        """Why no certificate of this loop gives a bound; empty where one does."""
+        if self.best.exists:
+            return ""
+        return self.vertices.reason if self.kinds == RANGE_KINDS else self.semidefinite.reason
+
+    @property
     def contradicted(self) -> tuple[Premise, ...]:
         """Premises that the system's own truth breaks."""
         return contradicted(self.premises)

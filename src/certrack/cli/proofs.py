@@ -81,7 +81,6 @@ def certify(
     Example: certrack certify dual-motor-lean --out cert.json
     """
     from certrack import certificates
-    from certrack.certificates.scope import has_ranges
     from certrack.cli import console
     from certrack.reports import certificates as certificate_report
     from certrack.reports import input_bounds as input_report
@@ -124,8 +123,7 @@ def certify(
     _note_without_implemented(system, result)
     _hint_of_weights(system, result, effort)
     if not result.best.exists:
-        reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
-        click.echo(f"certrack: no certificate: {reason}", err=True)
+        click.echo(f"certrack: no certificate: {result.reason}", err=True)
     if out is not None and not result.stages:
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):

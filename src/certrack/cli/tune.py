@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,8 @@ def _tuned(
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
     wanted["box"] = box_of(wanted["box"])
     then = "" if system.implementation is None else "now as the drive runs it"
-    with options_named(TUNE_OPTIONS), naming(file, "law", "tune"), console.phases() as bars:
+    named = options_named(TUNE_OPTIONS), naming(file, "law", "tune"), _box_named()
+    with named[0], named[1], named[2], console.phases() as bars:
         result = search_gains(
             system,
             progress=bars.phase("Tuning, starts", "best", then),
@@ -129,6 +131,19 @@ def _tuned(
     tell_written(as_json, *pictures, *filter(None, [out]))
     for warning in tune_report.warnings(result):
         click.echo(f"certrack: note: {warning}", err=True)
+
+
+@contextmanager
+def _box_named() -> Iterator[None]:
+    """Name the option that gives a box of starts where the file has none."""
+    from certrack.tuning.problem import STARTS_REMEDY
+
+    try:
+        yield
+    except InputError as problem:
+        if problem.remedy == STARTS_REMEDY:
+            problem.remedy = "State ensemble.x0, or give --box, such as --box -1:1,-2:2"
+        raise
 
 
 def _require_room(out: Path, file: str, source: str) -> None:

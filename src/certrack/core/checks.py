@@ -34,14 +34,18 @@ def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
     return entries
 
 
-def as_written(value: Any) -> Any:
-    """The value as the user wrote it, for messages."""
+#: Lists in each other up to which a value is written anew for a message, which shows no more.
+MAX_SHOWN_DEPTH = 40
+
+
+def as_written(value: Any, depth: int = MAX_SHOWN_DEPTH) -> Any:
+    """The value as the user wrote it, for messages; lists in each other down to a depth."""
     if isinstance(value, Expression):
         return number_or_text(value.text)
     if isinstance(value, RationalFloat):
         return value.text
-    if isinstance(value, (list, tuple)):
-        return [as_written(entry) for entry in value]
+    if depth and isinstance(value, (list, tuple)):
+        return [as_written(entry, depth - 1) for entry in value]
     return value
 
 

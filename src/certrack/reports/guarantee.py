@@ -16,6 +16,7 @@ from certrack.reports.ranges import costs_table, strength_line
 from certrack.reports.sampled import for_starts
 from certrack.reports.sections import Attachment, Picture, Section
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
+from certrack.studies.falsifier.falsify import Falsification
 
 #: A certificate that is longer, in characters, is named by its digest only.
 LONGEST_ATTACHMENT = 700_000
@@ -33,8 +34,7 @@ def summary(evidence: DesignEvidence) -> list[str]:
         lines.append(f"premises contradicted by the file's own truth: {', '.join(broken)}")
     lines.append(f"tail error of the simulated run: {evidence.run.metrics.tail_error:.5g}")
     if evidence.falsification is not None:
-        worst = evidence.falsification.worst_error
-        lines.append(f"worst admissible case found, of the continuous law: {worst:.5g}")
+        lines.append(_worst_found(evidence, evidence.falsification))
         if evidence.falsification.alarm is not None:
             reason = evidence.falsification.reason
             lines.insert(1, f"ALARM: a run is beyond the verified bound: {reason}")
@@ -42,6 +42,25 @@ def summary(evidence: DesignEvidence) -> list[str]:
         error, _ = evidence.ensemble.statistics.worst[0]
         lines.append(f"largest tail error of {evidence.ensemble.members} members: {error:.5g}")
     return lines
+
+
+def _worst_found(evidence: DesignEvidence, worst: Falsification) -> str:
+    """The worst case of the loop that the guarantee is of; that of another one says nothing of it.
+
+    A run in which the input meets its limits, or that begins elsewhere, may be beyond the bound.
+    """
+    results = evidence.certificates
+    best = results.best
+    if best is not results.implemented and best is not results.sampled:
+        return f"worst admissible case found, of the continuous law: {worst.worst_error:.5g}"
+    of = "of the loop as the drive runs it"
+    if worst.drive is None:
+        why = worst.left_out.get("drive", "it was not searched")
+        return f"no worst admissible case was found {of}: {why}"
+    line = f"worst admissible case found, {of}: {worst.drive.worst_error:.5g}"
+    if worst.drive.limited and worst.drive.worst_error > best.bound:
+        line += " (the bound is not for it: its input meets the limits, or it begins elsewhere)"
+    return line
 
 
 def _guaranteed(evidence: DesignEvidence) -> str:

@@ -14,7 +14,7 @@ from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
 if TYPE_CHECKING:
-    from certrack.tuning.result import Tuned
+    from certrack.tuning.result import ActiveLimit, Tuned
 
 #: Of which loop a figure is.
 AS_RUN, WITHOUT_DRIVE = ", as the drive runs it", ", continuous law"
@@ -118,14 +118,18 @@ def price_lines(result: Tuned) -> list[str]:
     name = what[result.objective]
     lines = []
     for active in result.active:
-        shorter = active.limit in ("period", "delay margin")
-        ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
         share = 100 * abs(active.price)
         lines.append(
-            f"active: {active.limit} {active.value:.5g}: {ease} "
+            f"active: {active.limit} {active.value:.5g}: {eased(active)} "
             f"buys {share:.2g} % {name} at the margin"
         )
     return lines or ["no limit is active"]
+
+
+def eased(active: ActiveLimit) -> str:
+    """Which way a limit eases: the period and the margin of the delay are limited from below."""
+    shorter = active.limit in ("period", "delay margin")
+    return f"10 % {'shorter' if shorter else 'more'} {active.limit}"
 
 
 def _front_lines(result: Tuned) -> list[str]:

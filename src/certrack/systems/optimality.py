@@ -35,12 +35,15 @@ class Optimality:
         At the input of the plant; None where h + phi^T theta is not linear in x.
     has_integral : bool
         Whether the errors begin with e_0, the integral of the tracking error.
+    sampled : bool
+        Whether a drive runs the law sampled, of which the margins, in continuous time, say nothing.
     """
 
     cost: Cost | None
     at_v: LoopMargins | None
     at_u: LoopMargins | None
     has_integral: bool = False
+    sampled: bool = False
 
     def record(self) -> dict[str, Any]:
         """Ready for JSON, but for arrays."""
@@ -55,7 +58,7 @@ class Optimality:
 
     def lines(self) -> list[str]:
         """Sentences for a reader."""
-        shown = []
+        shown, of = [], " (of the continuous law)" if self.sampled else ""
         if self.cost is not None:
             weights = self.cost.state
             first = 0 if self.has_integral else 1
@@ -69,9 +72,9 @@ class Optimality:
                 *(f"  [{', '.join(map(_short, row))}]" for row in self.cost.of_states.tolist()),
             ]
         if self.at_v is not None:
-            shown.append(f"margins at v, what the law adds to the last e': {_words(self.at_v)}")
+            shown.append(f"margins at v, what the law adds to the last e': {_words(self.at_v)}{of}")
         if self.at_u is not None:
-            shown.append(f"margins at u, the input of the plant: {_words(self.at_u)}")
+            shown.append(f"margins at u, the input of the plant: {_words(self.at_u)}{of}")
         return shown
 
 
@@ -91,7 +94,8 @@ def optimality(system: System) -> Optimality:
         plant = np.vstack([coordinates.F, slopes])
         at_u = loop_margins(plant, last, slopes - coordinates.nu_x)
     cost = optimal_cost(system.law, system.plant, coordinates)
-    return Optimality(cost, loop_margins(M, last, k), at_u, has_integral)
+    sampled = system.implementation is not None
+    return Optimality(cost, loop_margins(M, last, k), at_u, has_integral, sampled)
 
 
 def _linear_part(system: System) -> np.ndarray | None:

@@ -24,9 +24,9 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
         return InputError(
             "tune",
             "no design was found that keeps all limits and works when it is held at "
-            f"{problem.held_period:.4g} s and at shorter periods (without --period three times "
-            "implementation.period, or 3 ms)",
-            remedy="Shorten implementation.period, state --period, lower --noise, or leave a "
+            f"{problem.held_period:.4g} s and at shorter periods (without a limit of the period "
+            "three times implementation.period, or 3 ms)",
+            remedy="Shorten implementation.period, limit the period or the noise lower, or leave a "
             "resonance for which the drive is too slow out of the model",
         )
     options = [limit for limit in limits if limit.option] or exceeded
@@ -51,7 +51,7 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
         _key(limit),
         f"{limit.describe()} conflicts with {', '.join(dict.fromkeys(others))}: with these the "
         f"best {limit.name} found is {value:.4g}",
-        remedy="Ease one of them, or try a higher --feedforward",
+        remedy="Ease one of them, or try a higher law.feedforward",
     )
 
 

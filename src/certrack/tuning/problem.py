@@ -45,6 +45,9 @@ from certrack.tuning.stability import DelayEdge, EstimatesPeriod, StabilityEdge
 
 OBJECTIVES = ("error", "peak", "energy", "period")
 
+#: What is missing where a peak is limited and no box of starts is known.
+STARTS_REMEDY = "State ensemble.x0, a range for each state"
+
 #: The loop must be stable at so many times the file's period, or at this period without one, s.
 PERIODS_IN_HAND, LEAST_PERIOD = 3.0, 0.003
 
@@ -130,7 +133,7 @@ class TuningProblem:
             raise InputError(
                 name,
                 f"is what is optimised, so it cannot be a limit (objective {objective})",
-                remedy="Leave it out, or choose another --objective",
+                remedy="Leave it out, or choose another objective",
             )
 
     def _objective(self, objective: str) -> Quantity:
@@ -146,7 +149,7 @@ class TuningProblem:
                 "objective",
                 "a nonlinear loop has no exact longest period to be optimised",
                 "period",
-                "Give --period as a limit, which is simulated, and optimise the error",
+                "Give the period as a limit, which is simulated, and optimise the error",
             )
         return self._edge(self._loop)
 
@@ -209,7 +212,7 @@ class TuningProblem:
             raise InputError(
                 "error",
                 "must be given: the system's own design has no certified error",
-                remedy="Give --error",
+                remedy="Give one",
             )
         return Limit(self.error, best.bound)
 
@@ -219,7 +222,7 @@ class TuningProblem:
                 "peak_input",
                 "must hold over a box of starts, and the file has none; at a single start a small "
                 "peak only means that its response happens to cancel",
-                remedy="State ensemble.x0, or give --box, such as --box -1:1,-2:2",
+                remedy=STARTS_REMEDY,
             )
         if self._linear is not None:
             response = BoxResponse(self._linear, Grid.of(self.base), self.box)

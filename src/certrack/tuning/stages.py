@@ -130,7 +130,7 @@ def _refuse_uncertified(system: System, law: Law) -> None:
         raise InputError(
             "law.integral",
             "has no certificate together with estimates, so nothing could be tuned",
-            remedy="Leave it out, or choose --law robust",
+            remedy="Leave it out, or choose law.kind robust",
         )
     if system.implementation is None:
         raise InputError(

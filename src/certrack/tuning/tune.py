@@ -311,11 +311,11 @@ def _fallback(
     if other is None:
         return None, (
             f"nothing is certified of the best design, nor of {asked} others that the search went "
-            "through; narrow plant.ranges, or give a smaller --noise"
+            "through; narrow plant.ranges, or limit the noise more"
         )
     return other, (
         "the best design of the search has no certificate; this is the best on the way to it "
-        f"that has one, of {asked} asked; a smaller --noise may find a better one"
+        f"that has one, of {asked} asked; a lower limit of the noise may find a better one"
     )
 
 
