@@ -329,6 +329,22 @@ def test_a_long_computation_of_another_text_does_not_begin():
     assert session.long_job(parse_message(json.dumps(start)))["text"] == "t"
 
 
+def test_what_is_exported_is_named_after_the_file_that_the_text_was_saved_to():
+    def exported():
+        message = {"type": "export", "format": "toml", "design": 3, "revision": session.asked}
+        return session.long_job(parse_message(json.dumps(message)))["name"]
+
+    session = opened_session()
+    assert exported() == "n"
+    session.saved("mine.toml", 0)  # another text was asked for meanwhile
+    assert exported() == "n"
+    session.saved("mine.toml", 1)
+    assert exported() == "mine.toml"
+    session.opened(parse_message(text_message(2, "other")))
+    described(session, session.next_job("run", 0.0))
+    assert exported() == "n"
+
+
 def test_a_long_computation_whose_process_is_gone_ends_with_a_message():
     session = opened_session()
     work = {"do": "task", "task": "tune", "design": 4, "revision": 1, "page": session.id}

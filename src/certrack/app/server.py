@@ -165,11 +165,12 @@ class AppServer:
             session.opened(message, file)
             self.hub.pump()
 
-    async def _save(self, session: Session, message: Save) -> None:
+    async def _save(self, session: Session, message: Save, revision: int) -> None:
         """Write a file, or say that it is not the one that the page knows."""
         name, text, known = message.name, message.text, message.known
         try:
             name, digest = await asyncio.to_thread(self.workspace.write, name, text, known=known)
+            session.saved(name, revision)
             header: dict[str, Any] = {"saved": name, "digest": digest}
         except FileChanged as change:
             conflict = {"name": change.key, "reason": change.expected, "digest": change.digest}
@@ -221,7 +222,7 @@ class AppServer:
             case ListFiles():
                 disk.begin("files", self._greet(session))
             case Save():
-                disk.begin("save", self._save(session, message))
+                disk.begin("save", self._save(session, message, session.asked))
         self.hub.pump()
 
 

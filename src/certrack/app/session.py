@@ -83,6 +83,7 @@ class Session:
         self.move: GainMove | None = None
         self.outgoing = Outbox()
         self.served = 0.0
+        self._file_name = ""
         self._mail: dict[str, dict[str, Any]] = {}
         self._due: dict[str, float] = {}
         self._waiting: dict[str, Any] | None = None
@@ -163,7 +164,20 @@ class Session:
         job |= {"design": message.design, "gains": dict(message.gains)}
         if isinstance(message, StartTask):
             return job | {"task": message.task, "options": dict(message.options)}
+        job["name"] = self._file_name or self.base.name
         return job | {"do": "export", "format": message.format}
+
+    def saved(self, name: str, revision: int) -> None:
+        """The text at hand lies in a file: what is exported from now on is named after it.
+
+        Parameters
+        ----------
+        name : str
+        revision : int
+            Of the newest text when the page asked for it; another one has a name of its own.
+        """
+        if self.base is not None and revision == self.asked == self.base.revision:
+            self._file_name = name
 
     # what the hub asks
 
@@ -248,7 +262,7 @@ class Session:
         if header.get("problem") is None:
             text, name, drive = header["text"], header["name"], header["drive"]
             self.base = DesignText(text, name, self.folder, job["revision"], drive)
-            self.design, self.move = 0, None
+            self.design, self.move, self._file_name = 0, None, ""
             self._mail.clear()
 
     def _post(self, kind: str, *, do: str = "", after: float = 0.0, **details: Any) -> None:
