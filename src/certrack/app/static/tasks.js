@@ -130,13 +130,13 @@ export class Tasks {
     const unit = this.state.system.units[0];
     this.state.worst = { design, worst: header.worst ?? Infinity, text: header.text, rows, alarm: header.alarm };
     const loop = header.loop === "implemented" ? "of the loop as the drive runs it" : "of the continuous loop";
-    const facts = [["worst error found", `${header.text} ${unit}`], ["certified", header.certified ? `${header.certified} ${unit}` : "—"], ["certified / found", header.ratio ? `${header.ratio.toFixed(2)} ×` : "—"], ["loop", loop], ["runs spent", String(header.runs)]];
+    const facts = [["worst error found", `${header.text} ${unit}`], ["certified", header.certified ? `${header.certified} ${unit}` : "—"], ["certified / found", header.ratio ? `${header.ratio.toFixed(2)} ×` : "—"], ["loop", loop], ["runs spent", header.spent]];
     for (const [what, why] of Object.entries(header.left_out)) facts.push([`not tried: ${what}`, why]);
     if (header.alarm) facts.unshift(["ALARM", header.reason]);
     const name = `worst-of-${this.state.name.replace(/^.*\//, "")}`;
     const actions = element("div", { class: "actions" }, element("button", { onclick: () => this.on.openText(header.case, name) }, "Open this case"), element("button", { onclick: () => this.on.download(name, header.case) }, "Save it as a file"));
     this.drawer.open("Worst case found", [actions, table(["", ""], facts, "facts"), sentence("The largest error that the search met among cases which the premises admit. It proves nothing, but shows how tight the bound is.")]);
-    this.on.note(`Worst of ${header.runs} admissible cases: ${header.text} ${unit}.`);
+    this.on.note(`Worst case found, ${loop}: ${header.text} ${unit}.`);
     this.on.redraw();
   }
 
