@@ -578,7 +578,8 @@ def test_a_file_that_changed_on_the_disk_is_not_replaced_unasked(shown, server):
     wait(page, "document.querySelector('#edited').hidden")
     assert certrack.load(path).law.c == (6.6, 6.6, 6.6, 6.6)
     assert certrack.load(path).settings.duration == 20
-    path.write_text("[plant")
+    broken = "[plant]\nstates = ["
+    path.write_text(broken)
     page.locator('[data-path="bandwidth"]').focus()
     page.keyboard.press("PageUp")
     at_rest(page)
@@ -592,7 +593,7 @@ def test_a_file_that_changed_on_the_disk_is_not_replaced_unasked(shown, server):
     assert page.locator("#edited").is_visible()
     page.keyboard.press("Control+s")
     wait(page, "document.querySelector('.menu')?.textContent.includes('changed on the disk')")
-    assert path.read_text() == "[plant"
+    assert path.read_text() == broken
 
 
 def test_unsaved_changes_are_saved_before_another_is_opened(shown, server):
