@@ -1,9 +1,10 @@
 # make demo   reproduces the paper on a fresh machine
 # make test   checks style, types and behaviour; COVERAGE=--cov measures coverage too
-# make slow   runs the slow tail of the tests
+# make slow   runs the slow tail of the tests; TAIL="slow and not search" leaves random searches out
 # make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
 # make hunt   gives the property tests other random examples than every other run had, and many more
 # make docs   measures the figures of its comparison of laws, and builds the site, in build/site
+# make site   builds the site alone
 # make bench  measures speed, as ratios within one run
 # make bench-compare BASE=main compares the speed of this tree with that of a commit
 # make mutants changes the source a little, and sees which changes no test notices
@@ -11,6 +12,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 # Each worker keeps to files of its own as long as it has some: what a file prepares is made once.
+TAIL ?= slow
 WORKERS := $(BIN)/pytest -n 2 --dist worksteal
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
@@ -32,7 +34,7 @@ test: .venv/tested
 	$(WORKERS) -m "not slow" $(COVERAGE)
 
 slow: .venv/tested
-	$(WORKERS) -m slow
+	$(WORKERS) -m "$(TAIL)"
 
 .PHONY: fuzz
 fuzz: .venv/tested
@@ -45,6 +47,10 @@ hunt: .venv/tested
 .PHONY: docs
 docs: .venv/documented
 	$(BIN)/python tools/laws_page.py
+	$(MAKE) site
+
+.PHONY: site
+site: .venv/documented
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -c docs -d build/doctrees . build/site
 
 bench: .venv/benched
