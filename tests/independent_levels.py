@@ -45,9 +45,8 @@ def whole_cell(loop, p):
     return h, E
 
 
-def ages_of(loop, p):
-    """Powers of the ages in the cell that begins there, one row for each derivative."""
-    h = whole_cell(loop, p)[0]
+def ages_of(loop, h):
+    """Powers of the ages in a cell of that length, one row for each derivative."""
     powers = [(loop.q - j, math.factorial(loop.q - j)) for j in range(loop.q + 1)]
     return np.array([np.linspace(0, h, 2 * GRID + 1) ** k / whole for k, whole in powers])
 
@@ -93,7 +92,8 @@ def reference_part(loop, level, rows, of_Y, phase):
     Pi, D = level
     total = np.abs(rows @ Pi[phase] - of_Y) @ loop.Y[:-1]
     first, start, whole = True, np.abs(rows).max(), len(D)
-    cells = [(*whole_cell(loop, p * GRID), ages_of(loop, p * GRID)) for p in range(whole)]
+    spans = [whole_cell(loop, p * GRID) for p in range(whole)]
+    cells = [(h, E, ages_of(loop, h)) for h, E in spans]
     while np.abs(rows).max() >= 1e-11 * start:
         kernels = []
         for p in range(phase - 1, -1, -1):

@@ -60,10 +60,10 @@ class BestCascade:
         Of e_1.
     problems : pair of ErrorProblem
         That of e_n which counts, and that of e_1.
+    stage : KnownStage
+        What a quick look nearby needs of the centred one.
     shift : float
         kappa of the centred stage; 0 without.
-    stage : KnownStage or None
-        What a quick look nearby needs of it.
     state : RiccatiState or None
         What a warm start of the head needs.
     """
@@ -72,8 +72,8 @@ class BestCascade:
     centred: Solution | None
     head: Solution
     problems: tuple[ErrorProblem, ErrorProblem]
+    stage: KnownStage
     shift: float = 0.0
-    stage: KnownStage | None = None
     state: RiccatiState | None = None
 
     @property
@@ -83,8 +83,7 @@ class BestCascade:
 
     def in_vain(self) -> BestCascade:
         """The same where another method has a smaller bound: its centred stage helps no one."""
-        stage = None if self.stage is None else replace(self.stage, worth=0.0)
-        return replace(self, stage=stage)
+        return replace(self, stage=replace(self.stage, worth=0.0))
 
 
 def best_cascade(
@@ -134,7 +133,7 @@ def best_cascade(
     head, state = solution_nearby(inner, known, alpha, accuracy)
     if head is None:
         return None
-    return BestCascade(last, centred, head, (of_last, inner), shift, stage, state)
+    return BestCascade(last, centred, head, (of_last, inner), stage, shift, state)
 
 
 def rate_nearby(
